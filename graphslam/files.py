@@ -242,8 +242,12 @@ class TomlFile:
             raise FormatError(path, None, "lists or tables are nested more deeply than any option is") from None
         except tomllib.TOMLDecodeError as error:
             found = re.search(r"\(at line (\d+), column \d+\)$", str(error))
-            message = re.sub(r" \(at .*\)$", "", str(error))
-            raise FormatError(path, int(found[1]) if found else None, f"not valid TOML: {shortened(message)}") from None
+            message, line = shortened(re.sub(r" \(at .*\)$", "", str(error))), int(found[1]) if found else None
+            statement = self.text.split("\n")[line - 1] if line else ""
+            bare = re.fullmatch(r"\s*([\w.-]+)\s*=\s*([A-Za-z_/~.][^\"'#=]*?)\s*(#.*)?", statement.rstrip("\r"))
+            if bare and bare[2] not in ("true", "false", "inf", "nan"):
+                message = f'{message}; text stands in quotes: {bare[1]} = "{shortened(bare[2])}"'
+            raise FormatError(path, line, f"not valid TOML: {message}") from None
         except ValueError:
             # Python reads whole numbers of at most 4,300 digits
             long = re.search(r"[0-9_]{4000}", self.text)

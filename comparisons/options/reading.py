@@ -136,11 +136,11 @@ def prepare(
 
 
 def _joined(
-    logs: Sequence[Log], options: LogOptions, join: Callable[[list[Log], list[str]], Log]
+    logs: Sequence[Log], options: LogOptions, join: Callable[[list[Log], list[float | None], list[str]], Log]
 ) -> tuple[Log, dict[str, float], bool]:
     """Several logs as one with the same noise models for all, biases, and whether noise was estimated.
 
-    ``join`` makes one log of several, and adds its remarks to a list.
+    ``join`` makes one log of several with the factors for correlated errors in their noise, and adds its remarks to a list.
     """
     known, remarks = [_with_noise(each, options) for each in logs], list[str]()
     read = [log for log, _, _ in known]
@@ -148,17 +148,19 @@ def _joined(
         # with the noise that options give logs are joined, and clocks of robots compared
         given = [options.models(log.motion, log.sensor) for log in read]
         read = [log.replace(motion=motion, sensor=sensor) for log, (motion, sensor) in zip(read, given)]
-    joined = join(read, remarks)
+    joined = join(read, [None if found is None else found.inflation for _, _, found in known], remarks)
     # biases of options and of a noise file are the same for all
     estimated = any(found is not None for _, _, found in known)
     return joined.replace(notes=(*joined.notes, *remarks)), known[0][1], estimated
 
 
-def _of_one_place(logs: list[Log], remarks: list[str]) -> Log:
+def _of_one_place(logs: list[Log], inflations: list[float | None], remarks: list[str]) -> Log:
     """Logs of one place as one log."""
-    joined = graphslam.join_logs(with_common_noise(logs)).log
+    sessions = graphslam.join_logs(with_common_noise(logs, inflations))
+    joined = sessions.log
     with noted(remarks, "what has changed between the logs is not known"):
-        changes = zip(joined.sessions[1:], session_states(joined) if len(logs) > 1 else [])
+        states = sessions.states or (session_states(joined) if len(logs) > 1 else ())
+        changes = zip(joined.sessions[1:], states)
         # begins with no log's name: `run` shows in brief what does
         remarks += [f"compared with the logs before {each.name}, {found.sentence}" for each, found in changes]
     return joined
@@ -174,8 +176,8 @@ def _robots(log: LogOrPath | Sequence[LogOrPath], options: LogOptions) -> dict[i
         return load_robots(log, **{name: each for name, each in _of_load(options).items() if name != "robot"})
 
 
-def _of_robots(numbers: Iterable[int], logs: list[Log], remarks: list[str]) -> Log:
-    """The logs of several robots as one log, on the clock of the first."""
+def _of_robots(numbers: Iterable[int], logs: list[Log], _inflations: list[float | None], remarks: list[str]) -> Log:
+    """The logs of several robots, whose sensors may differ, as one log, on the clock of the first."""
     robots, offsets = dict(zip(numbers, logs)), None
     with noted(remarks, "whether the clocks of the robots agree is not known"):
         offsets = clock_offsets(robots)

@@ -41,6 +41,7 @@ from ..graph import Graph
 from ..log import Log
 from ..maps.landmark_map import LandmarkMap, as_map
 from ..maps.map_evidence import log_sum
+from ..maps.registration import Points, register
 from ..se2 import Array, wrap
 from ..solvers.solution import Solution
 from ..solvers.solve import solve
@@ -181,18 +182,26 @@ def map_states(
         log = log.without_orientation()
     away: set[int] = set()
     tried: list[set[int]] = []
+    compared = False
     for _ in range(MAX_SOLVES):
         fresh = _fresh_ids(log, known, away)
         renamed = log.replace(landmarks=np.array([fresh.get(j, j) for j in log.landmarks.tolist()], dtype=np.int64))
-        graph = Graph.from_log(renamed, map=used, **options)
+        built = Graph.from_log(renamed, map=used, **options)
+        solution = solve(built)
+        graph = solution.graph or built
         assert graph.map is not None
         if left_out := set(used) - set(graph.map):
-            # the first fix showed already that they have moved
+            # the first fix, or the solution, showed already that they have moved
             away = away | left_out
             if away in tried:
                 break
             continue
-        solution = solve(graph)
+        if not compared and graph.map is not built.map:
+            # most places contradict the log: those that agree among each other are right, and the others may have moved
+            compared, others = True, _others(log, known, sorted(seen), **options)
+            if others | away != away:
+                away = away | others
+                continue
         found = _shifts(solution, fresh, prior)
         tried.append(away)
         away = _next(solution, found, away, first=len(tried) == 1)
@@ -240,6 +249,16 @@ def session_states(log: Log, **options: Any) -> list[MapStates]:
         own = log.at_steps(np.arange(drive.start, drive.stop)).replace(sessions=())
         found.append(map_states(own, known, **options))
     return found
+
+
+def _others(log: Log, known: LandmarkMap, seen: list[int], **options: Any) -> set[int]:
+    """The landmarks that are elsewhere in the map of the log alone, moved to where most of its landmarks fit."""
+    own = solve(Graph.from_log(log, **(options | {"edges": "landmark+motion"}))).map
+    seen = [j for j in seen if j in own]
+    places, covariances = known.arrays(seen)
+    area = float(np.prod(np.ptp(places[:, :2], axis=0) + MOVE))
+    matches = register(Points(*own.arrays(seen), places, covariances, np.array(seen), area))
+    return {j for j, agrees in zip(seen, matches[0].agree) if not agrees} if matches else set()
 
 
 def _fresh_ids(log: Log, known: LandmarkMap, away: set[int]) -> dict[int, int]:

@@ -18,7 +18,7 @@ from ..identification.odometry import OF_SENSOR, with_variances
 from ..identification.result import RobotEstimate
 from ..log import Log, check_is_log
 from ..models import MotionModel, SensorModel
-from .from_truth import Means, knows_enough, knows_poses, motion_noise, sensor_noise, true_motions
+from .from_truth import Means, errors_of_truth, knows_enough, knows_poses, motion_noise, sensor_noise, true_motions
 from .variances import VarianceFit
 
 #: at least so many motions with true poses at both ends tell their noise
@@ -262,8 +262,14 @@ def _from_truth(logs: tuple[Log, ...], motion: MotionModel, sensor: SensorModel,
         counts={name: fit.count for name, fit in fits.items()},
         source="truth",
         logs=tuple(each.name for each in logs),
-        notes=_heavy_tails(fits),
+        notes=(*_heavy_tails(fits), *_common_errors(logs, sensor)),
     )
+
+
+def _common_errors(logs: tuple[Log, ...], sensor: SensorModel) -> tuple[str, ...]:
+    """Sentences on logs in which the sightings of one scan have errors in common."""
+    found = [(log.name, errors_of_truth(log, sensor)) for log in logs if log.controls is not None]
+    return tuple(f"{name}: {text}" if len(logs) > 1 else text for name, text in found if text)
 
 
 def _heavy_tails(fits: dict[str, VarianceFit]) -> tuple[str, ...]:

@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import FormatError, quoted
-from ..log.join import datum_note, local_plane
+from ..log.geometry import datum_note, local_plane
 from ..log.measurements import cut_headings, not_positive, symmetric
 from ..log.table import COVARIANCES, Columns
 from ..se2 import Array, between, compose, lever_matrix, perpendicular, turned_by

@@ -116,7 +116,7 @@ def _faults(rows: Array) -> list[Fault]:
     """The sightings (N, 4) whose barcode or range cannot be."""
     code, what = rows[:, 1], "a barcode that is no whole number"
     wrong = Fault(code % 1 != 0, what, lambda k: f"the barcode should be a whole number, not {code[k]:g}")
-    return [wrong, *range_faults(rows[:, 2])]
+    return [wrong, *range_faults(rows[:, 2], rows[:, 3])]
 
 
 def _stream(

@@ -101,7 +101,7 @@ def _left_out(content: dict[str, np.ndarray], path: Path, strict: bool) -> tuple
     names = ("range", "bearing", "orientation")
     not_finite = [finite_fault(column, name, "") for column, name in zip(sightings.T, names)]
     kept, notes = sound_rows(
-        len(sightings), "sightings", [*not_finite, *range_faults(sightings[:, 0])],
+        len(sightings), "sightings", [*not_finite, *range_faults(*sightings[:, :2].T)],
         lambda k, text: FormatError(f"{path}: sighting {k}", None, text), strict=strict,
     )  # fmt: skip
     for name in ("steps", "landmarks", "sightings", "classes"):

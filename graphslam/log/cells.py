@@ -36,13 +36,14 @@ _DAY_TIME = re.compile(r"\d\d:\d\d:\d\d.*")
 STRAY = 10
 
 
-def nanoseconds(table: Table, column: int, unit: str | None, day: int | None = None) -> np.ndarray:
+def nanoseconds(table: Table, column: int, unit: str | None, kind: str, day: int | None = None) -> np.ndarray:
     """A column of times (N,) as whole nanoseconds.
 
     Args:
         table: whose column it is.
         column: its number.
         unit: "s", "ms", "us" or "ns"; None: by the size of the numbers, which is certain for times since 1970, else s.
+        kind: what the table holds, such as "odometry".
         day: the number of the column of the date, where the table has one; it counts where the times are times of day.
 
     Dates with the time of day (ISO 8601, "2026-11-22T10:00:00.5Z") are counted from 1970, in UTC where they name no zone.
@@ -53,7 +54,7 @@ def nanoseconds(table: Table, column: int, unit: str | None, day: int | None = N
     try:
         values = table.numbers([column])[:, 0]
     except LogError:
-        if (dates := _of_dates(table, column, day)) is not None:
+        if (dates := _of_dates(table, column, kind, day)) is not None:
             return dates
         word = str(table.words(column)[0])
         with suppress(ValueError):
@@ -67,7 +68,7 @@ def nanoseconds(table: Table, column: int, unit: str | None, day: int | None = N
         raise table.error(int(bad[0]), f"the time {table.title(column)} is {values[bad[0]]}; every row needs a time")
     factor = UNITS[unit or by_size(values)]
     if (beyond := np.flatnonzero(np.abs(values) >= _LARGEST / factor)).size:
-        raise _beyond(table, int(beyond[0]), column)
+        raise _beyond(table, int(beyond[0]), column, kind)
     if np.all(np.abs(values) * factor < _RESOLVED):
         return np.rint(values * factor).astype(np.int64)
     words = table.texts(column)
@@ -116,7 +117,7 @@ def time_faults(values: np.ndarray, title: str, unit: str | None, stray: float =
     ]  # fmt: skip
 
 
-def _of_dates(table: Table, column: int, day_column: int | None) -> np.ndarray | None:
+def _of_dates(table: Table, column: int, kind: str, day_column: int | None) -> np.ndarray | None:
     """Times (N,) of dates, or of dates and times of day in two columns; None where the first is none."""
     ns = np.empty(len(table), np.int64)
     words = [str(word) for word in table.words(column)]
@@ -139,7 +140,7 @@ def _of_dates(table: Table, column: int, day_column: int | None) -> np.ndarray |
         ahead = 60 * int(hours) + int(hours[0] + minutes) if hours else 0
         moment -= ahead * 60 * UNITS["s"]
         if abs(moment) >= _LARGEST:
-            raise _beyond(table, row, column)
+            raise _beyond(table, row, column, kind)
         ns[row] = moment
     return ns
 
@@ -149,16 +150,15 @@ def is_dated(table: Table, column: int) -> bool:
     return column in table.units or any(form.fullmatch(str(table.words(column)[0])) for form in (_DATE, _DAY_TIME))
 
 
-def _beyond(table: Table, row: int, column: int) -> LogError:
+def _beyond(table: Table, row: int, column: int, kind: str) -> LogError:
     """The error of a time that does not fit."""
     given = f"the time {table.title(column)} is {shortened(str(table.words(column)[row]))}"
     limits = "but times are whole nanoseconds in 64 bits, from 1678 to 2262"
-    return table.error(
-        row, f"{given}, {limits}: is its unit stated rightly (s, ms, us or ns)? For nanoseconds add time='ns'"
-    )
+    advice = f"is its unit stated rightly (s, ms, us or ns)? For nanoseconds add time='{kind}=ns'"
+    return table.error(row, f"{given}, {limits}: {advice}")
 
 
-def added(table: Table, column: int, times: np.ndarray, more: np.ndarray | int) -> np.ndarray:
+def added(table: Table, column: int, times: np.ndarray, more: np.ndarray | int, kind: str) -> np.ndarray:
     """Times (N,) plus others [ns].
 
     Raises:
@@ -166,7 +166,7 @@ def added(table: Table, column: int, times: np.ndarray, more: np.ndarray | int) 
     """
     total = times.astype(float) + np.asarray(more, dtype=float)
     if (beyond := np.flatnonzero(np.abs(total) >= _LARGEST)).size:
-        raise _beyond(table, int(beyond[0]), column)
+        raise _beyond(table, int(beyond[0]), column, kind)
     if np.ptp(total) >= _LARGEST:
         raise table.error(int(np.argmax(total)), f"the times {table.title(column)} are more than 292 years apart")
     return times + more
@@ -385,6 +385,8 @@ Doubt = tuple[str, str]
 _SHARE = 0.01
 #: the checks that find odometry with many rows of the time of the row before, and sightings that cover little of it
 REPEATED, COVERED = "odometry repeats", "covered"
+#: the check that finds landmarks that have moved between logs that were joined
+MOVED_BETWEEN = "moved between logs"
 
 
 def repeated_times(

@@ -117,20 +117,22 @@ class Reader:
     def need(self, *roles: str, instead: str = "") -> None:
         """Raise an error that lists the columns unless these are there."""
         if missing := [role for role in roles if role not in self.found]:
-            raise self.table.error(None, self.missing(missing[0], instead))
+            raise self.table.error(None, self.missing(*dict.fromkeys(missing), consequence=instead))
         self.used |= dict.fromkeys(roles)
 
-    def missing(self, role: str, consequence: str = "") -> str:
-        """The sentence about a column that is not there, with those that are."""
+    def missing(self, *roles: str, consequence: str = "") -> str:
+        """The sentence about columns that are not there, with those that are."""
         have = named(self.table.names) if self.table.names else f"{self.table.width} columns without names"
-        names = " or ".join(dict.fromkeys((role, *NAMES[role][:3])))
-        which = f"Say which it is: columns='{self.kind}.{role}=NAME'"
-        if role == "id":
+        names = (" or ".join(dict.fromkeys((role, *NAMES[role][:3]))) for role in roles)
+        named_so = " and none for ".join(f"{role} (named {each}, ...)" for role, each in zip(roles, names))
+        state = f"columns='{','.join(f'{self.kind}.{role}=NAME' for role in roles)}'"
+        which = f"Say which it is: {state}" if len(roles) == 1 else f"Say which they are: {state}"
+        if roles == ("id",):
             # many sensors have no ids, so that only a column without another use is asked about
             if not self.unused:
-                return f"no column for id (named {names}, ...){consequence}"
-            which = f"If one has the ids, say which: columns='{self.kind}.{role}=NAME'"
-        return f"no column for {role} (named {names}, ...){consequence}; it has {have}. {which}"
+                return f"no column for {named_so}{consequence}"
+            which = f"If one has the ids, say which: {state}"
+        return f"no column for {named_so}{consequence}; it has {have}. {which}"
 
     @property
     def unused(self) -> list[str]:
@@ -201,7 +203,11 @@ class Reader:
                     fault = replace(fault, rows=fault.rows & ~(np.isnan(values) & np.isfinite(number)))
                 faults.append(fault)
                 of_psi = fault if role == "orientation" else of_psi
-                faults += range_faults(values) if role == "range" else spike_faults(values, title, role)
+                faults += (
+                    range_faults(values, columns.get("bearing"))
+                    if role == "range"
+                    else spike_faults(values, title, role)
+                )
         if "x" in columns and self.kind == "sightings":
             other = "z" if self.options.axes == "optical" else "y"
             faults += range_faults(np.hypot(columns["x"], columns.get(other, np.ones(len(self.table)))))
@@ -242,14 +248,16 @@ class Reader:
         """The times (N,) of a column in nanoseconds, by the clock of the table."""
         self.need(role)
         column = self.found[role].column
-        ns = nanoseconds(self.table, column, self._unit(role), self.found["date"].column if self.has("date") else None)
+        day = self.found["date"].column if self.has("date") else None
+        ns = nanoseconds(self.table, column, self._unit(role), self.kind, day)
         if self.has("nanosec"):
             self.need("nanosec")
-            ns = added(self.table, column, ns, nanoseconds(self.table, self.found["nanosec"].column, "ns"))
+            more = nanoseconds(self.table, self.found["nanosec"].column, "ns", self.kind)
+            ns = added(self.table, column, ns, more, self.kind)
         if (unit := self.options.unit("time", self.kind)) is not None and is_dated(self.table, column):
             note = f"{self.table.title(column)} holds dates or durations: the stated unit {unit} is not used"
             self.table.notes = tuple(dict.fromkeys((*self.table.notes, f"{self.table.source}: {note}")))
-        return added(self.table, column, ns, self.options.clock(self.kind))
+        return added(self.table, column, ns, self.options.clock(self.kind), self.kind)
 
     def numbers(self, *roles: str, finite: bool = True) -> Array:
         """Columns (N, k) in metres and radians."""
@@ -312,8 +320,8 @@ class Reader:
         """
         if not self.stated(role) and (k := first(np.abs(values) > limit)) is not None:
             measure = measure or MEASURES[role]
-            likely, own = {"angles": "degrees", "lengths": "mm"}[measure], UNITS_OF[measure][0]
-            advice = f"Then add {measure}='{self.kind}={likely}'; if not, add {measure}='{self.kind}={own}'"
+            likely, own = {"angles": "degrees'", "lengths": "mm' (or cm)"}[measure], UNITS_OF[measure][0]
+            advice = f"Then add {measure}='{self.kind}={likely}; if not, add {measure}='{self.kind}={own}'"
             raise self.table.error(k, f"{message.format(values[k])} {advice}{also}")
 
     def refuse_many(self, role: str, values: Array, limit: float, message: str, measure: str = "") -> None:
@@ -329,12 +337,13 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
         LogError: a column is missing, a number is none, or the unit is almost certainly another one.
     """
     reader = Reader("odometry", table, options)
-    reader.need("t")
     motion, of_wheels = motion_of(table, reader.found, options.track), tuple[str, ...]()
+    needed = motion if "x" not in motion or reader.has("qz", "qw") else (*motion, "theta")
+    instead = ", and none for x, y and theta instead of nu and omega"
+    reader.need("t", *needed, instead="" if "x" in motion or reader.has(*motion) else instead)
     table = reader.leave_out(*(_POSE if "x" in motion else motion))
     ns = reader.times()
     if "x" not in motion:
-        reader.need(*motion, instead=", and none for x, y and theta instead of nu and omega")
         rows = reader.numbers(*motion)
         speed = rows[:, : 2 if "left" in motion else 1]
         reader.refuse_many(motion[0], np.abs(speed).max(axis=1), FASTEST, "the speed is {:g} m/s: is it in mm/s?")
@@ -343,8 +352,6 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
         sideways = _sideways_speed(reader, rows[:, 0])
     else:
         rows = reader.poses()
-        if rows.shape[1] == 2:
-            reader.need("theta")
     ns, order, notes = ordered(reader.table, ns)
     rows = rows[order]
     more, doubts = repeated_times("odometry", table, ns, rows, np.arange(len(ns))[order])
@@ -360,10 +367,8 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     elif "omega" in motion:
         message = "the turn rate is {:g} rad/s: is it in degrees per second?"
         reader.refuse_many("omega", np.abs(rows[:, 1]), QUICKEST, message)
-    speeds, turns = (
-        dict.fromkeys(("nu", "left", "x"), "speed unit"),
-        dict.fromkeys(("omega", "theta"), "turn rate unit"),
-    )
+    speeds = dict.fromkeys(("nu", "left", "x"), "speed unit")
+    turns = dict.fromkeys(("omega", "theta"), "turn rate unit")
     doubts += sideways + reader.answered(t="time unit", **speeds, **turns)
     return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts)
 
@@ -401,9 +406,12 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
         LogError: a column is missing, a number is none, or the unit is almost certainly another one.
     """
     reader = Reader("sightings", table, options)
-    reader.need("t")
+    cartesian = (reader.has("x", "y") or reader.has("x", "z")) and not reader.has("range")
+    others = [role for role in ("range", "bearing") if not cartesian and not reader.has(role)]
+    # what is missing, as far as there are columns that may be it
+    reader.need("t", *(others if not reader.has("t") and len(reader.unused) > len(others) else ()))
     taken, doubted = tuple[str, ...](), tuple[Doubt, ...]()
-    if cartesian := (reader.has("x", "y") or reader.has("x", "z")) and not reader.has("range"):
+    if cartesian:
         axes, taken, doubted = chosen_axes(reader.table, reader.found, options.axes)
         options = reader.options = replace(options, axes=axes)
     plane = ("x", "z") if options.axes == "optical" else ("x", "y")
@@ -461,7 +469,7 @@ def _ids(reader: Reader) -> Ids:
     """The ids of the sightings; `UNIDENTIFIED` where there is no column of them."""
     table = reader.table
     if not reader.has("id"):
-        missing = reader.missing("id", ", so no landmark is identified")
+        missing = reader.missing("id", consequence=", so no landmark is identified")
         return Ids(np.full(len(table), UNIDENTIFIED), notes=(f"{table.source}: {missing}",))
     reader.need("id")
     return ids_of(table, reader.found["id"].column)
@@ -474,7 +482,7 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
         LogError: a column is missing, or a number is none.
     """
     reader = Reader("truth", table, options)
-    reader.need("t")
+    reader.need("t", "x", "y")
     table = reader.leave_out()
     ns, rows = reader.times(), reader.poses(finite=False)
     known = np.asarray(np.isfinite(rows).all(axis=1))

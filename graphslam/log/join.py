@@ -20,39 +20,13 @@ from ..models import ANYWHERE, SensorModel, additional_variances
 from ..se2 import Array, wrap
 from .cells import COVERED, Doubt, ids_of, seconds, time_faults
 from .drive import TURNED, Reader, Timed, odometry_of, sightings_of, truth_of
+from .geometry import datum_note, local_plane
 from .log import Log
 from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, checked_landmarks, cut_headings, not_positive
 from .rows import MOST_LEFT_OUT, UNIDENTIFIED, UNITS_OF, ReadOptions, TableOptions
 from .streams import MOST_DISORDER, Stream, synchronize
 from .table import COVARIANCES, Kept, Table, ordered
 from .text_table import table_of
-
-#: the major half-axis [m] and the squared eccentricity of the ellipsoid
-_AXIS, _ECCENTRICITY = 6378137.0, 6.69437999014e-3
-
-
-def local_plane(fixes: Array, datum: Array, height: float = 0.0) -> Array:
-    """East and north (N, 2) [m] of fixes (N, 2), latitude and longitude [degrees], in the plane that touches at the datum."""
-
-    def earth(latitude: Array, longitude: Array) -> Array:
-        N = _AXIS / np.sqrt(1 - _ECCENTRICITY * np.sin(latitude) ** 2)
-        along = (N + height) * np.cos(latitude)
-        up = (N * (1 - _ECCENTRICITY) + height) * np.sin(latitude)
-        return np.stack([along * np.cos(longitude), along * np.sin(longitude), up], axis=-1)
-
-    phi, lam = np.radians(datum)
-    axes = np.array([
-        [-np.sin(lam), np.cos(lam), 0.0],
-        [-np.sin(phi) * np.cos(lam), -np.sin(phi) * np.sin(lam), np.cos(phi)],
-    ])  # fmt: skip
-    return np.asarray((earth(*np.radians(fixes).T) - earth(phi, lam)) @ axes.T)
-
-
-def datum_note(datum: Array, source: str) -> str:
-    """The sentence about the origin of the plane."""
-    where = f"latitude {datum[0]:.8f}, longitude {datum[1]:.8f} degrees (WGS 84)"
-    return f"positions are metres east and north of {where}, the first fix of {source}"
-
 
 #: the coordinates of the noise
 _AXES = ("x", "y", "theta")
@@ -223,8 +197,13 @@ def read_drive(
         LogError: a table lacks a column or has an impossible value.
     """
     options = options or TableOptions()
-    moved = odometry_of(_in_order("odometry", odometry, options), options)
-    seen = sightings_of(_in_order("sightings", sightings, options, moved), options)
+    try:
+        moved = odometry_of(_in_order("odometry", odometry, options), options)
+        seen = sightings_of(_in_order("sightings", sightings, options, moved), options)
+    except LogError:
+        if (exchanged := _exchanged(odometry, sightings, options)) is not None:
+            raise exchanged from None
+        raise
     read: dict[str, Any] = {}
     for kind, table in others.items():
         if table is not None:
@@ -236,6 +215,18 @@ def read_drive(
     return Drive(
         moved, seen, landmarks=landmarks, sensor_offset=options.sensor_offset, truth_offset=options.truth_offset, **read
     )
+
+
+def _exchanged(odometry: Any, sightings: Any, options: TableOptions) -> LogError | None:
+    """The error of two tables of which each has the names of the columns of the other; None for others."""
+    with suppress(LogError):
+        moved = Reader("odometry", table_of(sightings, "odometry"), options)
+        seen = Reader("sightings", table_of(odometry, "sightings"), options)
+        motion = moved.has("nu", "omega") or moved.has("x", "y", "theta")
+        if motion and moved.table.names and seen.table.names and seen.has("range", "bearing"):
+            what = f"it has the columns of sightings, and {moved.table.source} those of odometry"
+            return seen.table.error(None, f"{what}: exchange the two tables")
+    return None
 
 
 #: the time between two drives [s]. `estimate_robot` and checks judge by time what belongs together: with a second between

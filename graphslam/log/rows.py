@@ -131,14 +131,20 @@ def finite_fault(values: np.ndarray, title: str, advice: str = "; remove the row
     )
 
 
-def range_faults(ranges: np.ndarray) -> list[Fault]:
-    """The rows whose range (N,) [m] is negative, or zero."""
+def range_faults(ranges: np.ndarray, bearings: np.ndarray | None = None) -> list[Fault]:
+    """The rows whose range (N,) [m] is negative, or zero.
+
+    They may be bearings where what stands for the ``bearings`` (N,) is never negative. One negative number is what some
+    sensors give that see nothing.
+    """
 
     def fault(wrong: np.ndarray, what: str, cause: str) -> Fault:
         return Fault(wrong, what, lambda k: f"the range is {ranges[k]:g} m, but a range is above zero: {cause}")
 
-    swapped = fault(ranges < 0, "a negative range", "are range and bearing swapped?")
-    return [swapped, fault(ranges == 0, "a range of 0", "remove rows in which nothing was seen")]
+    swapped = bearings is not None and not np.any(bearings < 0) and len(np.unique(ranges[ranges < 0])) > 1
+    nothing = "remove rows in which nothing was seen"
+    cause = "are range and bearing swapped?" if swapped else f"{nothing}, or repair them"
+    return [fault(ranges < 0, "a negative range", cause), fault(ranges == 0, "a range of 0", nothing)]
 
 
 #: a single value is wrong beyond this many times the usual largest one, where no other is above twice that

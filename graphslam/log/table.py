@@ -354,7 +354,10 @@ def find(
                     break
                 if len(fits) > 1:
                     titles = " and ".join(table.title(k) for k in fits[:2])
-                    raise table.error(None, f"{titles} could both be {role}; say which: columns='{kind}.{role}=NAME'")
+                    which = f"say which: columns='{kind}.{role}=NAME'"
+                    if table.names[fits[0]] == table.names[fits[1]]:
+                        which = f"say which by its number: columns='{kind}.{role}={fits[0] + 1}'"
+                    raise table.error(None, f"{titles} could both be {role}; {which}")
                 if fits:
                     found[role] = Chosen(fits[0], names[fits[0]][1])
                     taken.add(fits[0])
@@ -372,7 +375,13 @@ def _stated(table: Table, role: str, column: str | int) -> Chosen:
         known = f"its columns are {named(table.names)}" if table.names else "its columns have no names: give numbers"
         message = f"there is no column {quoted(column)} for {role}{suggestion(column, table.names) or f'; {known}'}"
         raise table.error(None, message)
-    return Chosen(table.names.index(column), plain(column)[1])
+    first, *others = (k for k, name in enumerate(table.names, start=1) if name == column)
+    if others:
+        message = (
+            f"columns {first} and {others[0]} are both called {quoted(column)}; for {role} state the number of one"
+        )
+        raise table.error(None, message)
+    return Chosen(first - 1, plain(column)[1])
 
 
 #: times that were gone through twice have more than this many times the usual number of rows

@@ -32,13 +32,13 @@ class Backend(Protocol):
         columns: the number of values of a sighting, 2 or 3; None before the first one.
         tracker: of the robot in a map, where there is one.
         notes: what contradicts the map, one sentence each.
-        expected_cost: about what J is if the noise models are right; None where it is not known.
+        misfit: a sentence where J is clearly above what the noise models predict; empty otherwise, or where it is not known.
     """
 
     num_final: int = 0
     tracker: Tracker | None = None
     notes: Sequence[str] = ()
-    expected_cost: float | None = None
+    misfit: str = ""
     columns: int | None
 
     @property

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..edges import ANCHOR_INFORMATION
 from ..errors import GraphError
 from ..linear.precision import inverses
 from ..log import UNIDENTIFIED
@@ -201,10 +202,12 @@ class Localizer:
         """A new backend and tracker."""
         (start, covariance), fix = self._start, self.fixes.get(0)
         if fix is not None:
-            # the landmarks hold the first pose
-            start, covariance = fix.pose, np.diag(FREE_START)
+            start, covariance = fix.pose, np.linalg.inv(ANCHOR_INFORMATION)
         held = {} if start is None else {"map": self._landmarks, "start_covariance": covariance}
         self._backend = self._make(np.zeros(3) if start is None else start, **held)
+        #: whether the first pose is anchored at its fix until landmarks of the map hold it: a free start has so little
+        #: information that it is lost in rounding errors of precise odometry
+        self._anchored = fix is not None
         self.tracker: Tracker | None = None
         if start is not None:
             self.tracker = Tracker(self._landmarks, self._sensor, start, covariance if fix is None else fix.covariance)
@@ -235,7 +238,12 @@ class Localizer:
             seen = tracker.see(pose, rows, of_whole, whole, backwards(x, P))
             landmarks[~alone], earlier = seen.landmarks, seen.earlier
         if (known := landmarks != UNIDENTIFIED).any():
-            backend.observe(pose, landmarks[known].tolist(), self._as_used(sightings[known]))
+            observe = partial(backend.observe, pose, landmarks[known].tolist(), self._as_used(sightings[known]))
+            if self._anchored and any(j in self._landmarks for j in landmarks[known].tolist()):
+                backend.release(np.zeros(3), observe)
+                self._anchored = False
+            else:
+                observe()
         for row, id in earlier.items():
             step, _, z = self._rows[row]
             if step >= backend.num_final:

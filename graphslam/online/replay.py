@@ -111,6 +111,7 @@ def solve_online(
             *notes,
             "J is not given with a lag: poses that are final do not follow later measurements",
             "covariances are those without the lag, with which the errors of final poses are larger",
+            *filter(None, [solver._backend.misfit]),
         )
     name = "online" if backend == "own" else backend
     return doubted(make_solution(graph, run, name, seconds, notes=notes, cost=cost))

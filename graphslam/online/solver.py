@@ -35,7 +35,6 @@ from ..maps.landmark_map import as_map
 from ..maps.tracker import beyond, inflation
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, transform, wrap
-from ..solvers.solution import misfit_of_noise
 from ..solvers.uncertainty import ids_of, split
 from .backend import Backend, information_of
 from .localizer import Localizer
@@ -284,11 +283,9 @@ class OnlineSolver:
     def notes(self) -> tuple[str, ...]:
         """Remarks, one sentence each: what of the drive so far contradicts the map, or the noise models.
 
-        The latter only with the backend "own", and without a lag.
+        The latter only with the backend "own". With a lag it is J of windows of lag + 1 poses, each when the next pose comes.
         """
-        expected = self._backend.expected_cost
-        misfit = "" if expected is None else misfit_of_noise(self.cost, expected)
-        return (*self._backend.notes, *filter(None, [misfit]))
+        return (*self._backend.notes, *filter(None, [self._backend.misfit]))
 
     @property
     def num_final(self) -> int:

@@ -28,6 +28,7 @@ does not use it, and corrects it like the others.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -36,11 +37,14 @@ import numpy as np
 from ..association import AssociationOptions, associate_from, known_noise
 from ..association.assignment import evidence
 from ..association.map_solution import Problem
+from ..association.map_states import AGREES, MOVED, MapStates, map_states
 from ..association.refining import refine
 from ..errors import GraphError, LogError, OptionError, named, quoted
+from ..errors.checks import listed
 from ..graph import Graph
 from ..identification.known import known_robot
 from ..log import UNIDENTIFIED, Log
+from ..log.cells import MOVED_BETWEEN, Doubt
 from ..log.continuous_time import CLOCK, nearest_of, with_poses_at
 from ..log.join import end_to_end, joined_rows
 from ..log.measurements import PoseRelations, length_of
@@ -51,11 +55,18 @@ from ..maps.localization import SURE, first_fix, odds_of
 from ..maps.tracking import follow
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, begun_at, between, compose, in_frame
+from ..solvers.contradictions import MEDIANS
 from ..solvers.solve import solve
 
-#: a log is said where the mean noise of sightings is more than so many times its own; the largest of 30 pairs of drives of
-#: one robot each, whose noise was estimated, is 2.1, and none of the robots of MR.CLAM 6 is above 2
-UNLIKE = 3.0
+#: a log is said whose single sightings have so much less noise than those of another one: of 44 pairs of drives of one sensor
+#: none, and all of 44 of which one has three times the noise
+UNLIKE = 2.0
+#: a variance that is as good as zero
+TINY = 1e-300
+#: the same where the noise contains an unknown factor for correlated errors, which differs between drives of one sensor
+UNLIKE_WITH_CORRELATIONS = 4.0
+#: a landmark has surely moved from this square of its shift on, and where both logs saw it so often
+SURELY, FEWEST_SEEN = 60.0, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +76,12 @@ class Sessions:
     Attributes:
         log: all of them, in the frame of the first.
         starts: the step at which each drive starts, and after them the number of poses.
+        states: of the landmarks of each drive but the first in the map of those before; empty where they were not compared.
     """
 
     log: Log
     starts: tuple[int, ...]
+    states: tuple[MapStates, ...] = ()
 
     def split(self, rows: Array) -> list[Array]:
         """Rows (T+1, ...) that belong to the poses, one array for each drive.
@@ -103,7 +116,8 @@ def join_logs(logs: Sequence[Log], *, mean_noise: bool = False, placed: bool = F
     if not logs:
         raise OptionError("join_logs needs at least one log")
     if mean_noise:
-        logs = with_common_noise([known_noise(each)[0] for each in logs])
+        logs, estimates = zip(*map(known_noise, logs))
+        logs = with_common_noise(logs, [None if each is None else each.inflation for each in estimates])
     for each in logs:
         _check(each, logs[0])
     if len(logs) > 1 and not all(each.identified for each in logs):
@@ -112,6 +126,7 @@ def join_logs(logs: Sequence[Log], *, mean_noise: bool = False, placed: bool = F
     joined, starts = logs[0], [0]
     known = known_robot(logs[0])[0] if len(logs) > 1 and not placed else logs[0]
     models: dict[str, Any] = {"motion": known.motion or MotionModel(), "sensor": known.sensor or SensorModel()}
+    states = list[MapStates]()
     # the same with the poses that the map of the next log comes from
     solved = joined
     for k, each in enumerate(logs[1:]):
@@ -120,9 +135,38 @@ def join_logs(logs: Sequence[Log], *, mean_noise: bool = False, placed: bool = F
             graph = Graph.from_log(solved, edges="landmark+motion", **models)
             solution = solve(graph, initialize="given" if k else "auto")
             each = _placed(each, joined, solution.map, models)
+            with suppress(GraphError):
+                states.append(map_states(each, solution.map, **models))
+                each = each.replace(doubts=(*each.doubts, *_moved_before(states[-1], each, joined)))
             solved = end_to_end(solved.replace(initial_poses=solution.poses), each)
         joined = end_to_end(joined, each)
-    return Sessions(joined, (*starts, joined.num_poses))
+    return Sessions(joined, (*starts, joined.num_poses), tuple(states) if len(states) == len(logs) - 1 else ())
+
+
+def _moved_before(states: MapStates, log: Log, before: Log) -> tuple[Doubt, ...]:
+    """A doubt where landmarks surely have moved between the logs before and this one.
+
+    Squared shifts count in units of the median of those that agree, because correlated errors of a sensor make all of them
+    larger. Ids that were read once or twice may be misread.
+    """
+    shifted = [(each, each.chi_square, each.shift) for each in states.landmarks]
+    agreeing = [square for each, square, _ in shifted if each.state == AGREES and square is not None]
+    least = SURELY * max(1.0, float(np.median(agreeing)) / MEDIANS[log.sightings.shape[1]] if agreeing else 1.0)
+    moved = {
+        each.id: float(np.hypot(*shift[:2]))
+        for each, square, shift in shifted
+        if square is not None and shift is not None and each.state == MOVED and square > least
+        if min(each.seen, np.sum(before.landmarks == each.id)) >= FEWEST_SEEN
+    }
+    if not moved:
+        return ()
+    text = (
+        f"probably moved before {log.name}, but taken for one place in all logs: {listed('landmark', [*moved])}, by up to "
+        f"{max(moved.values()):.2g} m. Moved landmarks pull the poses along, which are less exact than their covariances "
+        "say. Give them other ids in the logs after the move (Log.replace(landmarks=...)), or solve these alone in the "
+        "map of the logs before (map=), which leaves them out"
+    )
+    return ((MOVED_BETWEEN, text),)
 
 
 def from_logs(logs: Sequence[Log], **options: Any) -> Graph:
@@ -133,12 +177,17 @@ def from_logs(logs: Sequence[Log], **options: Any) -> Graph:
 Graph.from_logs = staticmethod(from_logs)
 
 
-def with_common_noise(logs: Sequence[Log]) -> list[Log]:
+def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = ()) -> list[Log]:
     """The logs with noise models that are the same in all, as one graph needs them.
 
     Variances are the means of those of the logs, of which the ones that bring no models count with the book's; so are those
     of the biases that were taken out of them (`Log.uncertain`), zero where there are none. Where the sensors sit in
     different places, sightings are given as from the mean of these.
+
+    Args:
+        logs: of one place.
+        inflations: the factors on the variances of each log's sensor for correlated errors (`RobotEstimate.inflation`),
+            which tell the noise of single sightings; without them it is known less well whether one sensor is better.
     """
     motions, sensors = [each.motion or MotionModel() for each in logs], [each.sensor or SensorModel() for each in logs]
     taken_out = [each.uncertain or {} for each in logs]
@@ -158,17 +207,22 @@ def with_common_noise(logs: Sequence[Log]) -> list[Log]:
     sensor = sensor.with_limits(min(least), max(most), max(views))
     uncertain = squares(taken_out)
     mean, common = f"its noise models are the means of those of {len(logs)} logs", []
-    for log, own in zip(logs, sensors):
+    known = len(inflations) > 0 and None not in inflations
+    factors = np.array(inflations if known else np.ones(len(logs)), dtype=float)
+    limit = UNLIKE if known else UNLIKE_WITH_CORRELATIONS
+    for k, (log, own) in enumerate(zip(logs, sensors)):
         robot = np.zeros((len(log.sightings), 3))
         seen = log.sightings if own.offset == sensor.offset else sensor.h(robot, own.h_inverse(robot, log.sightings))
-        variances = [np.diagonal(model.Q(log.sightings), axis1=1, axis2=2) for model in (sensor, own)]
-        ratio = float(np.sqrt(np.median(variances[0] / variances[1]))) if len(log.sightings) else 1.0
+        variances = [np.diagonal(model.Q(log.sightings), axis1=1, axis2=2) for model in sensors]
+        ratios = [np.median(V / np.maximum(variances[k], TINY)) if len(V) else 1.0 for V in variances]
+        times = np.sqrt(np.array(ratios) * factors[k] / factors)
+        worst = int(np.argmax(times))
         unlike = (
-            f", with {ratio:.1f} times the noise of its own sightings, so that these have too little weight: solve this log "
-            "alone, and the others in its map (map=)"
+            f"; single sightings of {logs[worst].name} have {times[worst]:.1f} times the noise of its own ones, which have "
+            "too little weight: join the logs without that one, and solve it in the map of the others (map=)"
         )
         models = {"motion": motion, "sensor": sensor, "uncertain": uncertain or None}
-        notes = (*log.notes, mean + unlike * (ratio > UNLIKE))
+        notes = (*log.notes, mean + unlike * bool(times[worst] > limit))
         common.append(log.replace(**models, sightings=seen, notes=notes))
     return common
 

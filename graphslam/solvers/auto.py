@@ -33,8 +33,8 @@ SMALL = 100
 #: often a rough guess, whereas wrong minima of graphs of sightings were found from 1.15 on.
 DOUBTFUL, DOUBTFUL_SIGHTINGS = 3.0, 1.12
 #: with a kernel, three starts must lead to an end of sightings whose J per degree of freedom is beyond this: two follow from
-#: the plain optimum, and four such ends of 550 hard logs were wrong (J of 1.08 to 1.2), while three quarters are below 1.03
-SURE = 1.05
+#: the plain optimum, and five such ends of 750 hard logs were wrong (J of 1.04 to 1.2), while three quarters are below 1.03
+SURE = 1.03
 #: an end that took more steps is doubtful, too: slow convergence comes from large residuals, which make several minima
 SLOW = 16
 #: the most times that the search continues from an unproven end to a lower one

@@ -55,19 +55,18 @@ from ..identification.slips import SLIPPED, Found, Motions, largest_slip, withou
 from ..linear.cholesky import Bordered, FactorizationError
 from ..log import Log
 from ..maps.localization import SURE
-from ..maps.tracker import middle_misfit
 from ..models import additional_variances
 from ..se2 import Array, between, difference, perpendicular, turn_matrix
 from .iteration import end_of, levenberg_marquardt
 from .joint import JointFactor, JointGraph, motion_edges, times
-from .map_errors import likeliest_deviation
+from .map_errors import DETERMINED, FEWEST, displacements, in_map, likeliest_deviation, misfit
 from .uncertainty import Uncertainty
 
 if TYPE_CHECKING:
     from .solution import Solution
 
-#: the most landmarks that are tested, and the fewest that say something of the map
-MOST, FEWEST = 40, 3
+#: the most landmarks that are tested
+MOST = 40
 #: doubtful is a median of q above so many times 2 log 2, and a scale so many standard errors from 1, at most 2.1 and 4.6 of
 #: which were found on 90 drives in the right map; or a lever of so many standard errors
 LARGE, SIGNIFICANT = 6.0, 6.0
@@ -76,11 +75,10 @@ SUSPECT = 1.3
 #: a landmark has moved from this q on. On 24 drives with the kernel cauchy, in maps with joint and with own covariances, at
 #: most 7 was found where none had moved, and 40 for one that had not among some that had
 MOVED = 60.0
+#: where more than this part of the landmarks that are tested has moved, it is the map that is wrong
+MOST_MOVED = 0.34
 #: the scale of a map that is doubtful by its landmarks is said from so many standard errors on
 TELLING = 3.0
-#: the log determines a landmark where it has more than this part of the information that its sightings alone would give, and
-#: the lever where it has more than this part of that of exact poses
-DETERMINED = 1e-6
 #: the fewest positions or relations that say something, and the part of the information of one that the rest must have to
 #: check it
 FEWEST_CHECKED, CHECKED = 10, 0.1
@@ -118,24 +116,14 @@ def doubt_of_map(graph: Graph, state: Array, *, suspected: bool = True) -> tuple
     Args:
         suspected: whether places that only such a solution can tell from noise are said, too.
     """
-    nothing = "", 0.0, True
-    if graph.map is None or graph.log is None or graph.parameters is not None:
-        return nothing
-    nodes = graph.mapped
-    nodes = np.sort(nodes[np.isin(graph.landmark_ids[nodes - len(graph.steps)], graph.log.landmarks)])
-    if len(nodes) < FEWEST:
-        return nothing
-    tested = nodes[np.unique(np.linspace(0, len(nodes) - 1, MOST).round().astype(int))]
-    directions = np.zeros((*state.shape, 1 + 2 * len(tested)))
-    directions[nodes, :2, 0] = state[nodes, :2] - state[nodes, :2].mean(axis=0)
-    for axis in (0, 1):
-        directions[tested, axis, 1 + axis + 2 * np.arange(len(tested))] = 1.0
+    if (scores := _scores_of_map(graph, state)) is None:
+        return "", 0.0, True
+    tested, g, S, alone = scores
     try:
-        g, S, alone = _scores(_unbiased(graph, state), state, directions)
-        ratio, size = _misfit(g[1:], S[1:, 1:], alone[1:, 1:])
+        ratio, size = misfit(g[1:], S[1:, 1:], alone[1:, 1:])
         deviation, gain = likeliest_deviation(S[1:, 1:], g[1:])
-    except (FactorizationError, GraphError, np.linalg.LinAlgError):
-        return nothing
+    except np.linalg.LinAlgError:
+        return "", 0.0, True
     sure = ratio**2 > LARGE
     off = sure or (suspected and ratio > SUSPECT and gain > np.log(SURE))
     scale, error = 1 + g[0] / S[0, 0], max(1.0, ratio) / np.sqrt(S[0, 0])
@@ -160,29 +148,72 @@ def doubt_of_map(graph: Graph, state: Array, *, suspected: bool = True) -> tuple
     return text, deviation if off else 0.0, sure or not off
 
 
-def _misfit(g: Array, S: Array, alone: Array) -> tuple[float, float]:
-    """The root of the median of q over 2 log 2, and the median of displacements [m], of landmarks that the log determines.
+def _scores_of_map(graph: Graph, state: Array) -> tuple[np.ndarray, Array, Array, Array] | None:
+    """The nodes of the landmarks of the map that are tested, and `_scores` of its scale and of their two axes each.
 
-    ``alone`` is d' H d. With few landmarks the median is the lower one of two.
+    None where there is nothing to test.
     """
-    q, size, determined = _displacements(g, S, alone)
-    return (0.0, 0.0) if determined.sum() < FEWEST else middle_misfit(q, size)
+    if graph.map is None or graph.log is None or graph.parameters is not None:
+        return None
+    nodes = graph.mapped
+    nodes = np.sort(nodes[np.isin(graph.landmark_ids[nodes - len(graph.steps)], graph.log.landmarks)])
+    if len(nodes) < FEWEST:
+        return None
+    tested = nodes[np.unique(np.linspace(0, len(nodes) - 1, MOST).round().astype(int))]
+    directions = np.zeros((*state.shape, 1 + 2 * len(tested)))
+    directions[nodes, :2, 0] = state[nodes, :2] - state[nodes, :2].mean(axis=0)
+    for axis in (0, 1):
+        directions[tested, axis, 1 + axis + 2 * np.arange(len(tested))] = 1.0
+    try:
+        return tested, *_scores(_unbiased(graph, state), state, directions)
+    except (FactorizationError, GraphError, np.linalg.LinAlgError):
+        return None
 
 
-def _displacements(g: Array, S: Array, alone: Array) -> tuple[Array, Array, np.ndarray]:
-    """q and the displacement [m] of each landmark that the log determines, and which of all (n,) these are."""
-    count = len(g) // 2
-    each = np.arange(count)
-    own, known = (matrix.reshape(count, 2, count, 2)[each, :, each] for matrix in (S, alone))
-    determined = np.linalg.eigvalsh(own)[:, 0] > DETERMINED * np.trace(known, axis1=1, axis2=2)
-    own, forces = own[determined], g.reshape(count, 2)[determined]
-    moved = np.linalg.solve(own, forces[:, :, None])[:, :, 0]
-    return np.einsum("ki,ki->k", moved, forces), np.hypot(moved[:, 0], moved[:, 1]), determined
+def without_moved(solution: Solution, again: Callable[[Graph], Solution]) -> tuple[Solution, str]:
+    """The solution in its map without the landmarks that have surely moved, and a sentence on them.
+
+    Those that contradict the map most are left out first, because they pull others along. Where they are many, it is the
+    map that is wrong, and the solution stays as it is.
+
+    Args:
+        again: solves a graph from its initial values.
+    """
+    first, graph, away, largest = solution, solution.graph, list[int](), 0.0
+    for _ in range(ROUNDS):
+        if graph is None or (scores := _scores_of_map(graph, solution.state)) is None:
+            break
+        tested, g, S, alone = scores[0], scores[1][1:], scores[2][1:, 1:], scores[3][1:, 1:]
+        try:
+            q, size, determined = displacements(g, S, alone)
+            least = MOVED * max(1.0, misfit(g, S, alone)[0] ** 2)
+            if not len(q) or q.max() <= least:
+                break
+            most = q > max(least, q.max() / 2)
+            largest = max(largest, size[most].max())
+            all_tested = len(tested) + len(away)
+            away += graph.landmark_ids[tested[determined][most] - len(graph.steps)].tolist()
+            if len(away) > MOST_MOVED * all_tested:
+                return first, ""
+            assert graph.map is not None
+            left = graph.map.among(set(graph.map) - set(away))
+            seconds, solution = solution.seconds, again(in_map(graph, left, solution.state))
+        except (GraphError, np.linalg.LinAlgError):
+            return first, ""
+        if not solution.converged:
+            return first, ""
+        solution, graph = replace(solution, seconds=seconds + solution.seconds), solution.graph
+    if not away:
+        return first, ""
+    return solution, (
+        f"probably moved since the map was made: {listed('landmark', sorted(away))}, by up to {largest:.2g} m. The map "
+        "counts without moved landmarks, which this log places anew; map_states says what else has changed"
+    )
 
 
 def _moved(graph: Graph, tested: np.ndarray, g: Array, S: Array, alone: Array, ratio: float) -> str:
     """A sentence on single landmarks, the nodes ``tested``, that have surely moved in a map that is right otherwise."""
-    q, size, determined = _displacements(g, S, alone)
+    q, size, determined = displacements(g, S, alone)
     moved = q > MOVED * max(1.0, ratio**2)
     if not moved.any():
         return ""

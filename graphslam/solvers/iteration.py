@@ -99,12 +99,10 @@ def iterate(graph: Any, run: Run, method: Callable[[Any, Any], object], kept: fl
     run.reason = _reason(run, inside)
     if inside.end == engine.End.diverged and not run.step_norms:
         run.reason += _not_finite(graph, run.state)
-    if inside.curved_from >= 0:
-        run.reason += (
-            f", with second derivatives from step {inside.curved_from + 1} on because plain steps shrank slowly"
-        )
     if inside.damped_from >= 0:
         run.reason += f", with damped steps from step {inside.damped_from + 1} on because plain ones oscillated"
+    if inside.curved_from >= 0:
+        run.reason += f", with second derivatives from step {inside.curved_from + 1} on because steps shrank slowly"
 
 
 def _not_finite(graph: Any, state: Array) -> str:

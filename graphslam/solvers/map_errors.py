@@ -28,6 +28,7 @@ from ..graph.build import priors_of_map
 from ..maps.landmark_map import LandmarkMap
 from ..maps.localization import SURE
 from ..maps.registration import evenly
+from ..maps.tracker import middle_misfit
 from ..se2 import Array
 from .uncertainty import Uncertainty
 
@@ -36,6 +37,11 @@ if TYPE_CHECKING:
 
 #: the most landmarks that the deviation is found from, the most solutions, and the change of it that is small
 MOST, ROUNDS, SETTLED = 60, 5, 0.1
+#: the fewest landmarks that say something of the map
+FEWEST = 3
+#: the log determines a landmark where it has more than this part of the information that its sightings alone would give, and
+#: the lever where it has more than this part of that of exact poses
+DETERMINED = 1e-6
 #: the deviation is looked for within this factor of the last one
 WITHIN = 100.0
 
@@ -59,7 +65,7 @@ def in_wider_map(
     of_map, rows = graph.map.joint_covariance(ids), np.tile([True, True, False], len(nodes))
     for _ in range(ROUNDS):
         try:
-            last, solution = deviation, again(_in_map(graph, graph.map.widened(deviation), solution.state))
+            last, solution = deviation, again(in_map(graph, graph.map.widened(deviation), solution.state))
             seconds += solution.seconds
             if not solution.converged or solution.graph is None:
                 return None
@@ -85,12 +91,12 @@ def said_of_wider(deviation: float) -> str:
     )
 
 
-def _in_map(graph: Graph, known: LandmarkMap, state: Array) -> Graph:
-    """The graph with other covariances of its map, beginning at a state (n, 3)."""
+def in_map(graph: Graph, known: LandmarkMap, state: Array) -> Graph:
+    """The graph with other covariances of its map, or without some of its landmarks, beginning at a state (n, 3)."""
     d, mapped = graph.landmark_dimension, np.sort(graph.mapped)
-    places = {j: known[j] for j in graph.landmark_ids[mapped - len(graph.steps)].tolist()}
-    values = state.copy()
-    for node, place in zip(mapped.tolist(), places.values()):
+    places = {j: known[j] for j in graph.landmark_ids[mapped - len(graph.steps)].tolist() if j in known}
+    values, nodes = state.copy(), len(graph.steps) + np.searchsorted(graph.landmark_ids, list(places))
+    for node, place in zip(nodes.tolist(), places.values()):
         values[node, : len(place[:d])] = place[:d]
     priors, fixed = priors_of_map(known, places, graph.landmark_ids, values, d)
     others = (family for family in graph.families if not isinstance(family, (LandmarkPriors, PriorEdges)))
@@ -118,3 +124,23 @@ def of_log(off: Array, covariance: Array, of_map: Array, last: float) -> tuple[A
     """S and h of displacements x (k,) with their covariance P, in a solution with C of the map and the deviation s0."""
     inverse = np.linalg.inv(covariance)
     return inverse - np.linalg.inv(of_map + last**2 * np.eye(len(off))), inverse @ off
+
+
+def misfit(g: Array, S: Array, alone: Array) -> tuple[float, float]:
+    """The root of the median of q over 2 log 2, and the median of displacements [m], of landmarks that the log determines.
+
+    ``alone`` is d' H d. With few landmarks the median is the lower one of two.
+    """
+    q, size, determined = displacements(g, S, alone)
+    return (0.0, 0.0) if determined.sum() < FEWEST else middle_misfit(q, size)
+
+
+def displacements(g: Array, S: Array, alone: Array) -> tuple[Array, Array, np.ndarray]:
+    """q and the displacement [m] of each landmark that the log determines, and which of all (n,) these are."""
+    count = len(g) // 2
+    each = np.arange(count)
+    own, known = (matrix.reshape(count, 2, count, 2)[each, :, each] for matrix in (S, alone))
+    determined = np.linalg.eigvalsh(own)[:, 0] > DETERMINED * np.trace(known, axis1=1, axis2=2)
+    own, forces = own[determined], g.reshape(count, 2)[determined]
+    moved = np.linalg.solve(own, forces[:, :, None])[:, :, 0]
+    return np.einsum("ki,ki->k", moved, forces), np.hypot(moved[:, 0], moved[:, 1]), determined

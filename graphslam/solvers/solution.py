@@ -30,7 +30,14 @@ from ..maps.tracker import beyond, inflation, presence
 from ..metrics import pose_nees
 from ..se2 import Array, difference, wrap
 from .certificate import Certificate, prove
-from .contradictions import TAKEN_FOR_RIGHT, doubt_of_map, doubt_of_positions, doubt_of_relations, without_slips_of
+from .contradictions import (
+    TAKEN_FOR_RIGHT,
+    doubt_of_map,
+    doubt_of_positions,
+    doubt_of_relations,
+    without_moved,
+    without_slips_of,
+)
 from .iteration import Run
 from .joint import motion_edges
 from .map_errors import in_wider_map, said_of_wider
@@ -430,14 +437,19 @@ def make_solution(
 def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None) -> Solution:
     """A solution with notes on what contradicts it: its map, its positions, its odometry, and edges among each other.
 
-    Where most landmarks of its map contradict it, it is solved ``again`` with the errors that the log shows in them;
-    not without a kernel, where wrong sightings and a biased robot look like a wrong map. Where the odometry of a stretch
-    contradicts it, it is solved again with more noise of the controls there.
+    Where single landmarks of its map have surely moved, it is solved ``again`` without them in the map, and where most
+    contradict it, with the errors that the log shows in them; not without a kernel, where wrong sightings and a biased robot
+    look like a wrong map. Where the odometry of a stretch contradicts it, it is solved again with more noise of the controls
+    there.
     """
     graph, notes = solution.graph, []
     if graph is None or not solution.converged:
         return solution
     in_map = again if graph.reweighted else None
+    if in_map is not None:
+        solution, of_moved = without_moved(solution, in_map)
+        graph = solution.graph or graph
+        notes += [of_moved] * bool(of_moved)
     found, deviation, sure = doubt_of_map(graph, solution.state, suspected=in_map is not None)
     wider = in_wider_map(solution, deviation, in_map) if deviation and in_map is not None else None
     if wider is None and not sure:

@@ -54,7 +54,17 @@ def test_types(tmp_path: Path) -> None:
         file.value(file.table["t"], "c", int, list, where="t")
 
 
-@pytest.mark.parametrize(("content", "word"), [(b"a = \n", ":1: not valid TOML"), (b"\xff\xfe", "UTF-8")])
+@pytest.mark.parametrize(
+    ("content", "word"),
+    [
+        (b"a = \n", ":1: not valid TOML"),
+        (b"\xff\xfe", "UTF-8"),
+        (
+            b"a = 1\nangles = degrees # of the gyroscope\n",
+            r':2: not valid TOML: .*; text stands in quotes: angles = "degrees"$',
+        ),
+    ],
+)
 def test_what_is_no_toml(tmp_path: Path, content: bytes, word: str) -> None:
     path = tmp_path / "a.toml"
     path.write_bytes(content)

@@ -226,3 +226,14 @@ def test_sightings_that_are_left_out_for_their_orientation_alone_are_counted(dri
     assert f"sightings.csv: nothing but 'psi' leaves out 3 of {M} sightings: remove that column" in note
     assert f"{M}個のセンサ値のうち3個は" in translated(note, "ja")
     assert not any("nothing but" in each for each in load(drive({(30, 2): "nan"})).notes)
+
+
+def test_a_sensor_that_gives_minus_one_where_it_sees_nothing(drive):
+    """Range and bearing are not swapped, whatever the signs of the bearings are."""
+    cells = {(row, 2): "-1" for row in range(M)} | {
+        (row, 3): repr(abs(z[1])) for row, z in enumerate(LOG.sightings.tolist())
+    }
+    with pytest.raises(
+        FormatError, match="the range is -1 m, but a range is above zero: remove rows in which nothing was"
+    ):
+        load(drive(cells))

@@ -18,7 +18,7 @@ from graphslam.io.bag_drive import drive_of_bag
 from graphslam.io.bag_messages import Frames, Poses, positions_table, relations_table
 from graphslam.io.bag_topics import open_bag
 from graphslam.io.tables import Recipe, read_recipe
-from graphslam.log.join import local_plane
+from graphslam.log.geometry import local_plane
 from graphslam.log.rows import ReadOptions
 from graphslam.log.table import Columns
 from graphslam.se2 import between, compose

@@ -93,6 +93,9 @@ def test_times_beyond_64_bits_are_refused(tmp_path, word):
     """Nanoseconds since 1970 end in 2262; they wrapped without a word, so that a drive went back to 1678."""
     with pytest.raises(LogError, match=r"odometry\.csv:\d+: .*the time 't' is .* from 1678 to 2262: is its unit"):
         read(tmp_path, odometry(word), seen(word))
+    # the unit is wrong in one table alone
+    with pytest.raises(LogError, match=r"sightings\.csv:\d+: .*For nanoseconds add time='sightings=ns'"):
+        read(tmp_path, odometry("{}"), seen(word))
 
 
 def test_times_are_used_up_to_2262_and_not_farther_apart(tmp_path):

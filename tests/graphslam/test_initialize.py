@@ -152,6 +152,16 @@ def hard_logs():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("seed", "number"), [(20, 64), (21, 28)])
+def test_auto_reaches_the_optimum_of_a_kernel(hard_logs, seed, number):
+    """In the first log plain steps oscillate; in the second three starts agree on a J of 1.04 times the expected one."""
+    graph = Graph.from_log(hard_logs.hard_log(number, seed))
+    solution = solve(graph)
+    assert solution.converged
+    assert solution.cost <= hard_logs.optimum(graph) * (1 + 1e-6)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1, 2, 3, 12, 63, 97])
 def test_auto_reaches_the_optimum_that_is_reached_from_the_truth(hard_logs, number):
     """Every noise level but the highest; at numbers 3, 12, 48 and 97 the first start ends 4 to 48 % higher."""
@@ -214,7 +224,7 @@ def test_auto_compares_the_ends_of_small_graphs(seed, first):
 def test_oscillating_gauss_newton_goes_on_with_other_steps(edges, reason, most):
     """Undamped steps from a wrong start go back and forth; the run that is continued from its best state converges.
 
-    Of 60 problems 46 converge with landmark nodes, 42 with damped steps in place of second derivatives.
+    Of 60 problems 45 converge with landmark nodes, 42 with damped steps in place of second derivatives.
     """
     others = 0
     for seed in range(60):
@@ -229,6 +239,15 @@ def test_oscillating_gauss_newton_goes_on_with_other_steps(edges, reason, most):
             if not graph.state_dependent_information:
                 assert solution.cost <= np.min(solution.costs) * (1 + 1e-6)
     assert others >= most
+
+
+@pytest.mark.parametrize("seed", [165, 198, 261, 287])
+def test_second_derivatives_wait_until_a_minimum_is_near(seed):
+    """Damped steps follow where plain ones oscillate; from there, second derivatives would take all the steps."""
+    log, options = random_problem(seed)
+    graph = Graph.from_log(log, **(options | {"edges": "landmark+motion", "frame": "body"}))
+    solution = solve(graph, initialize="given", max_iterations=300)
+    assert solution.converged and "damped" in solution.reason and "second derivatives" in solution.reason
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -396,8 +415,8 @@ def test_auto_tries_other_turns_where_an_end_is_doubtful(hard_logs, monkeypatch)
 
 @pytest.mark.slow
 def test_no_other_turns_are_tried_where_both_starts_of_a_kernel_agree(hard_logs, monkeypatch):
-    """At number 47, with the book's noise, both lead to the end that is reached from the truth."""
-    log, tried = hard_logs.hard_log(47), []
+    """At number 42, with the book's noise, both lead to the end that is reached from the truth."""
+    log, tried = hard_logs.hard_log(42), []
     graph = Graph.from_log(log, edges="landmark+motion", kernel="cauchy")
     monkeypatch.setattr(auto, "lower_by_turns", lambda *_: tried.append(1) or (None, 0))
     solution = solve(graph)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from graphslam import (
+    Drive,
     Graph,
     LogError,
     MotionModel,
@@ -74,6 +75,15 @@ def test_mistakes_are_found(sample, name):
     assert name.partition(" (")[0] in [finding.check for finding in findings]
     for finding in findings:
         assert "\n" not in finding.message and finding.message[-1] not in ".?"
+
+
+def test_sightings_in_the_axes_of_the_world_are_found():
+    log, _ = Drive(seed=3, duration=120.0).simulate()
+    heading = log.true_poses[log.steps, 2]
+    assert "fixed axes" not in checks(log)
+    assert "fixed axes" in checks(bearings(log, lambda b: wrap(b + heading + 0.7)))
+    # a compass counts clockwise
+    assert "fixed axes" in checks(bearings(log, lambda b: wrap(2 - b - heading)))
 
 
 def test_the_message_names_the_cause_and_the_option(sample):

@@ -241,6 +241,24 @@ def test_few_moved_landmarks_are_no_doubt_of_the_map_but_named():
     assert float(size) == pytest.approx(np.hypot(0.7, 0.5), abs=0.2)
 
 
+@pytest.mark.parametrize("exact", [True, False])
+def test_moved_landmarks_do_not_pull_the_poses(exact):
+    """As `run --map`, which leaves them out of the map; they made a whole map look wrong, or odometry look like slips."""
+    log, known = drive(5)
+    moved = list(known)[:3]
+    wrong = {j: place + (0.7, -0.5) if j in moved else place for j, place in known.items()}
+    covariances = {} if exact else {j: 0.01**2 * np.eye(2) for j in known}
+    solution = solve(Graph.from_log(log, map=LandmarkMap(wrong, covariances), dimensions=2, kernel="cauchy"))
+    rest = LandmarkMap(wrong, covariances).among(set(known) - set(moved))
+    without = solve(Graph.from_log(log, map=rest, dimensions=2, kernel="cauchy"))
+    assert set(solution.graph.map) == set(rest)
+    np.testing.assert_allclose(solution.poses, without.poses, atol=1e-6)
+    # this log places them anew
+    for j in moved:
+        assert np.hypot(*(solution.map[j] - known[j])) < 0.1
+        assert solution.map.covariances[j] == pytest.approx(without.map.covariances[j], rel=1e-4)
+
+
 @pytest.mark.parametrize("kernel", ["none", "cauchy"])
 @pytest.mark.parametrize("seed", range(10, 14))
 def test_no_landmark_of_a_right_map_is_said_to_have_moved(seed, kernel):

@@ -1,12 +1,24 @@
 """Which landmarks of a map agree with a log, have moved, are gone or are new: `graphslam.association.map_states`."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from graphslam import Drive, Graph, GraphError, LandmarkMap, OptionError, SensorModel, join_logs, simulate, solve
+from graphslam import (
+    Drive,
+    Graph,
+    GraphError,
+    LandmarkMap,
+    MotionModel,
+    OptionError,
+    SensorModel,
+    join_logs,
+    simulate,
+    solve,
+)
 from graphslam.association.map_states import EXACT_STD, MOVE, TURN, map_states, session_states
 
 FIRST = simulate(seed=1, clean=True, landmarks=20, steps=80, arena=6.0)
@@ -112,10 +124,39 @@ def test_a_landmark_that_was_not_in_view_is_not_said_to_be_gone():
 
 def test_sessions():
     logs = [FIRST.at_steps(np.arange(70)), second(2, {3: (1.5, 0.0)})]
-    (found,) = session_states(join_logs(logs).log)
+    joined = join_logs(logs)
+    (found,) = session_states(joined.log)
     assert found.of("moved") == [3] and "landmark 3 has moved" in found.sentence
+    (same,) = joined.states
+    assert same.of("moved") == [3]
     with pytest.raises(OptionError, match="is one drive"):
         session_states(FIRST)
+
+
+def moved_note(*logs):
+    """What the solution of joined drives says of landmarks that have moved."""
+    notes = solve(Graph.from_log(join_logs(logs).log)).notes
+    return [note for note in notes if note.startswith("probably moved before")]
+
+
+@pytest.mark.parametrize("share", [0.15, 0.5])
+def test_a_solution_of_joined_drives_names_the_landmarks_that_moved_in_between(share):
+    rng = np.random.default_rng(7)
+    exact = {"sensor": SensorModel(range_rate=0.02, bearing_std=0.01, orientation_std=0.01)}
+    before = simulate(seed=1, clean=True, landmarks=20, steps=80, arena=6.0, **exact)
+    moved = sorted(rng.choice(20, round(share * 20), replace=False).tolist())
+    logs = [before, second(4, {j: rng.choice([-1, 1], 2) * rng.uniform(0.5, 1.5, 2) for j in moved}, **exact)]
+    logs = [log.replace(motion=MotionModel(), **exact) for log in logs]
+    (note,) = moved_note(*logs)
+    both = set(logs[0].landmark_ids.tolist()) & set(logs[1].landmark_ids.tolist())
+    named = {int(word) for word in re.findall(r"\d+", note.split("in all logs: ")[1].split(", by up to")[0])}
+    assert named <= set(moved) and len(named) >= 0.7 * len(both & set(moved))
+    assert (
+        moved_note(
+            before.replace(motion=MotionModel(), **exact), second(4, **exact).replace(motion=MotionModel(), **exact)
+        )
+        == []
+    )
 
 
 @pytest.mark.slow

@@ -370,4 +370,8 @@ def test_noise_that_the_models_lack_is_said_while_driving_as_after_the_drive(tol
     after = [note for note in batch.notes if note.startswith("J is")]
     assert len(after) == (told < 1)
     assert [note for note in solver.notes if note.startswith("J is")] == after
-    assert solver._backend.expected_cost == pytest.approx(batch.graph.expected_cost)
+    assert solver._backend._expected_cost == pytest.approx(batch.graph.expected_cost)
+    for lag in (5, 20, 1000):
+        (*_, solver) = replay(log, lag=lag, **models)
+        assert bool(solver.notes) == (told < 1)
+    assert any(note in solver.notes for note in after) == (told < 1)

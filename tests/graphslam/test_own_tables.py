@@ -286,6 +286,33 @@ def test_a_column_that_may_have_the_ids_is_asked_for(drive):
     assert note.endswith("it has t, serial, range, bearing. If one has the ids, say which: columns='sightings.id=NAME'")
 
 
+def test_columns_that_are_missing_are_said_together(drive):
+    missing = (
+        r"odometry.csv: no column for t \(.*\) and none for nu \(.*\) and none for omega .* a, b, c. Say which they"
+    )
+    with pytest.raises(
+        LogError, match=missing + " are: columns='odometry.t=NAME,odometry.nu=NAME,odometry.omega=NAME'"
+    ):
+        load(drive(odometry=text("a,b,c", ODOMETRY)))
+    with pytest.raises(LogError, match=r"no column for t .* and none for bearing .* it has moment, id, range, way\."):
+        load(drive(sightings=text("moment,id,range,way", SEEN)))
+
+
+def test_exchanged_tables_are_said(drive):
+    with pytest.raises(
+        LogError, match=r"odometry.csv: it has the columns of sightings, and .*sightings.csv those of odom"
+    ):
+        load(drive(odometry=text("t,id,range,bearing", SEEN), sightings=text("t,nu,omega", ODOMETRY)))
+
+
+def test_columns_of_one_name_have_numbers(drive, expected):
+    table = text("t,id,d,d", SEEN)
+    with pytest.raises(LogError, match="columns 3 and 4 are both called 'd'; for range state the number of one"):
+        load(drive(sightings=table, recipe='[sightings]\nrange = "d"\nbearing = 4'))
+    log = load(drive(sightings=table, recipe="[sightings]\nrange = 3\nbearing = 4"))
+    np.testing.assert_array_equal(log.sightings, expected.sightings)
+
+
 def test_names_of_columns():
     assert plain(" Bearing (deg) ") == ("bearing", "degrees")
     assert plain("v_m_s") == ("v", "m")

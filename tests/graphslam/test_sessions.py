@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -28,6 +29,7 @@ from graphslam.association.map_states import session_states
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import ate
 from graphslam.se2 import between
+from graphslam.sessions import with_common_noise
 
 QUIET = MotionModel(nn=0.05, no=0.001, on=0.03, oo=0.05)
 SENSOR = SensorModel(range_rate=0.02, bearing_std=0.01)
@@ -171,7 +173,7 @@ def test_the_graph_of_several_logs_has_their_steps_and_the_means_of_their_noise(
     assert [each.start for each in built.log.drives] == [0, parts[0].num_poses]
     # the first log brings no model, and counts with the book's
     assert built.log.motion.nn == pytest.approx(np.sqrt((0.19**2 + 0.07**2) / 2))
-    assert not any("of its own sightings" in note for note in built.log.notes)
+    assert not any("of its own ones" in note for note in built.log.notes)
 
 
 def test_a_log_whose_sensor_is_much_better_than_the_mean_is_said() -> None:
@@ -180,9 +182,22 @@ def test_a_log_whose_sensor_is_much_better_than_the_mean_is_said() -> None:
     models = {"motion": QUIET, "sensor": SENSOR}
     built = Graph.from_logs([first.replace(**models), second.replace(**models | {"sensor": sloppy})])
     assert built.log is not None
-    # the root of (1 + 64) / 2
-    (note,) = (note for note in built.log.notes if "of its own sightings" in note)
-    assert note.startswith(first.name) and "5.7 times the noise" in note
+    (note,) = (note for note in built.log.notes if "of its own ones" in note)
+    assert note.startswith(first.name) and f"single sightings of {second.name} have 8.0 times the noise" in note
+
+
+@pytest.mark.parametrize(
+    ("own", "inflations", "said"), [(3.0, (2.0, 2.0), True), (3.0, (1.0, 9.0), False), (3.0, (), False)]
+)
+def test_the_noise_of_single_sightings_decides_whose_sensor_is_better(own, inflations, said) -> None:
+    """Models contain a factor for correlated errors, which differs between drives of one sensor."""
+    noisy = {name: own * getattr(SENSOR, name) for name in SENSOR.NOISE}
+    logs = [
+        each.replace(motion=QUIET, sensor=sensor)
+        for each, sensor in zip(cut(drive(), 2), (SENSOR, replace(SENSOR, **noisy)))
+    ]
+    notes = [note for log in with_common_noise(logs, inflations) for note in log.notes if "of its own ones" in note]
+    assert len(notes) == said
 
 
 def test_one_log_is_itself() -> None:

@@ -305,7 +305,7 @@ MISTAKES = {
     "two columns of one meaning": (
         {"odometry": text("t,nu,omega,v_left,v_right", [(*row, 0.1, 0.2) for row in ODOMETRY]).replace("nu", "speed", 1)
          .replace("omega", "speed", 1)},
-        "'speed' and 'speed' could both be nu; say which: columns='odometry.nu=NAME'",
+        "'speed' and 'speed' could both be nu; say which by its number: columns='odometry.nu=2'",
     ),
     "a clock that restarts": (
         {"odometry": text("t,nu,omega", [*ODOMETRY, *ODOMETRY])},

@@ -276,6 +276,21 @@ def test_two_landmarks_with_headings_locate_a_robot():
     assert np.hypot(*(solver.poses - log.true_poses)[:, :2].T).max() < 0.5
 
 
+def test_exact_odometry_before_the_first_sighting_is_no_obstacle_to_a_fix():
+    """A robot that turns on the spot has motions of 0.03 mm, beside which a free start was lost in rounding errors."""
+    models = {"motion": MotionModel(nn=0.02, on=0.01, oo=0.02, no=0.0, epsilon=1e-9), "sensor": MODELS["sensor"]}
+    log = elsewhere(3, (-4.0, 3.0, 0.0)).replace(motion=models["motion"])
+    # it turns before it sees anything
+    log = Log(
+        dt=np.append(np.ones(4), log.dt), controls=np.concatenate([np.tile([0.0, 0.3], (4, 1)), log.controls]),
+        steps=log.steps + 4, landmarks=log.landmarks, sightings=log.sightings,
+    )  # fmt: skip
+    solver = OnlineSolver(map=TRUE, **models)
+    assert driven(log, solver) is not None
+    solution = solve(Graph.from_log(log, map=TRUE, kernel="cauchy", **models))
+    np.testing.assert_allclose(solver.poses[:, :2], solution.poses[:, :2], atol=1e-3)
+
+
 @pytest.mark.parametrize("given", [True, False])
 def test_sightings_without_psi_in_a_map_with_headings(given):
     log = simulate(seed=1, steps=20, clean=True)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from graphslam import calibrate, simulate
 from graphslam.calibration.variances import fit_variances, standard_errors
 
 
@@ -62,3 +64,23 @@ def test_the_end_does_not_depend_on_where_the_search_begins() -> None:
         start = replace(fit, variances={name: 0.0 if name in zero else 2.0 for name in parts})
         again = fit_variances(e, parts, degrees=np.inf, start=start)
         assert again.log_likelihood == pytest.approx(fit.log_likelihood, abs=0.01)
+
+
+@pytest.mark.parametrize("late", [1.0, -1.0])
+def test_a_late_truth_is_said_and_by_how_much(late):
+    """True poses that belong to another time have one error for all sightings of a scan."""
+    log = simulate(seed=3, steps=400, clean=True, orientation=False, landmarks=20, dt=1.0, speed=0.5, turn_rate=0.3)
+    assert not any("in common" in note for note in calibrate(log).notes)
+    true = log.true_poses
+    moved = np.vstack([true[:1], true[:-1]]) if late > 0 else np.vstack([true[1:], true[-1:]])
+    (note,) = (note for note in calibrate(log.replace(true_poses=moved)).notes if "in common" in note)
+    signs, when = ("-", "late") if late > 0 else ("", "early"), re.search(r"truth is ([\d.]+) s (\w+)", note)
+    assert when is not None and when[2] == signs[1] and float(when[1]) == pytest.approx(1.0, abs=0.1)
+    assert f"clocks='truth={signs[0]}{when[1]}'" in note
+
+
+def test_inexact_true_poses_are_said():
+    log = simulate(seed=3, steps=400, clean=True, orientation=False, landmarks=20)
+    off = np.random.default_rng(0).normal(0.0, [0.0, 0.0, 0.15], (log.num_poses, 3))
+    (note,) = (note for note in calibrate(log.replace(true_poses=log.true_poses + off)).notes if "in common" in note)
+    assert "may be inexact or shifted" in note

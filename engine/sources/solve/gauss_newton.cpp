@@ -58,42 +58,53 @@ class Step {
     }
 };
 
-/// Steps until the run stops, or makes no progress: then the best state, otherwise none. The iterates are mixed after `plain`
-/// steps. Without plain steps, a run that takes all its iterations also ends at the best state.
-std::optional<State> undamped(Objective& objective, Run& run, int plain) {
-    const bool newton = plain && objective.curves();
-    const int mixed_from = newton ? run.rules.most_steps : objective.state_dependent || objective.reweighted ? 0 : plain;
+/// How undamped steps end.
+enum class Pass {
+    over,         ///< the run has stopped
+    no_progress,  ///< neither the lowest J nor the shortest step has improved for a while
+    slow,         ///< the minimum is near, and second derivatives lead there faster
+};
+
+/// Steps until one of these ends; the last two leave the best state in the run. The iterates are mixed after `plain` steps.
+/// Without plain steps, a run that takes all its iterations also ends at the best state.
+Pass undamped(Objective& objective, Run& run, int plain) {
+    const bool newton = objective.curves();
+    const int mixed_from = newton ? plain : objective.state_dependent || objective.reweighted ? 0 : plain;
     run.anderson.reset();
     Step step(objective, run);
     State best = run.state;
+    const auto leave = [&](Pass pass) {
+        run.state = best;
+        return pass;
+    };
     double lowest = std::numeric_limits<double>::infinity(), shortest = lowest;
     int progress = 0;
     const int most = run.rules.most_steps - run.steps();
     for (int k = 0; k < most; ++k) {
         if (k == mixed_from) run.anderson.emplace();
         const double cost = objective.linearize(run.state, run.state);
-        if (run.diverged(cost) || run.settled(cost)) return std::nullopt;
+        if (run.diverged(cost) || run.settled(cost)) return Pass::over;
         if (cost < lowest) best = run.state, lowest = cost, progress = k;
         const double enough = confirmed * run.rules.cost_tolerance * cost;
         if (!step.compute(enough)) {
             run.end = End::not_determined;
-            return std::nullopt;
+            return Pass::over;
         }
         if (newton && k >= before_newton && step.predicted < near * cost && step.predicted > slow * run.predicted)
-            return best;
+            return leave(Pass::slow);
         run.step(cost, step.delta);
         if (run.finished(step.predicted, objective)) {
-            if (cost <= lowest * (1 + promise) || objective.state_dependent) return std::nullopt;
+            if (cost <= lowest * (1 + promise) || objective.state_dependent) return Pass::over;
             // mixed steps may also end at a maximum, or in a higher minimum
             run.converged = false;
-            return best;
+            return leave(Pass::no_progress);
         }
         if (run.norms.back() < shortest) shortest = run.norms.back(), progress = k;
-        if (k - progress >= (run.mixed() ? patience_mixed : patience)) return best;
+        if (k - progress >= (run.mixed() ? patience_mixed : patience)) return leave(Pass::no_progress);
         if (step.predicted > (run.anderson ? enough : run.rules.kept * cost)) step.renew();
     }
-    if (plain) return std::nullopt;
-    return best;
+    if (plain) return Pass::over;
+    return leave(Pass::no_progress);
 }
 
 /// At the end of its life, `linearize` of an objective adds no second derivatives.
@@ -106,25 +117,24 @@ struct Plain {
 
 void gauss_newton(Objective& objective, Run& run) {
     run.end = End::most_steps;
-    std::optional<State> best = undamped(objective, run, plain_steps);
-    if (best && objective.curves()) {
-        // an observer may throw, and the objective may serve further runs
-        const Plain afterwards{objective};
-        run.state = *best;
-        run.curved_from = run.steps();
-        levenberg_marquardt(objective, run, run.rules.most_steps, true);
-        // rounding may leave no damping with which Omega is definite and J falls
-        if (run.end == End::no_lower_cost) levenberg_marquardt(objective, run, run.rules.most_steps);
-        return;
-    }
+    Pass pass = undamped(objective, run, plain_steps);
     const int damped_from = run.steps();
-    while (best) {
-        run.state = *best;
+    while (pass == Pass::no_progress) {
         run.end = End::most_steps;
         if (run.steps() == run.rules.most_steps || !levenberg_marquardt(objective, run, damped_steps)) break;
-        best = undamped(objective, run, 0);
+        // damped steps that lower J by a small part are slow, too
+        const double fall = run.costs.rbegin()[1] - run.costs.back();
+        const bool small = objective.curves() && fall < near * run.costs.back();
+        pass = small ? Pass::slow : undamped(objective, run, 0);
     }
     if (run.steps() > damped_from) run.damped_from = damped_from;
+    if (pass != Pass::slow) return;
+    // an observer may throw, and the objective may serve further runs
+    const Plain afterwards{objective};
+    run.curved_from = run.steps();
+    levenberg_marquardt(objective, run, run.rules.most_steps, true);
+    // rounding may leave no damping with which Omega is definite and J falls
+    if (run.end == End::no_lower_cost) levenberg_marquardt(objective, run, run.rules.most_steps);
 }
 
 }  // namespace vmslam::solve

@@ -84,11 +84,13 @@ double inner(std::span<const double> a, std::span<const double> b);
 /// Iterate x <- x + Omega^-1 xi with Omega = sum B' Omega_e B and xi = - sum B' Omega_e e.
 ///
 /// Plain steps converge slowly, or oscillate, where residuals are large or have a kernel, because Omega leaves out second
-/// derivatives. After some of them Omega has these (Newton's method), if all edges of the graph can add them.
+/// derivatives. Where steps promise little of J, but shrink slowly, Omega has these (Newton's method), if all edges of the
+/// graph can add them.
 ///
 /// Where they cannot, or information depends on the state, the iterates are mixed instead. Where neither the lowest J nor the
 /// shortest step improves for a while, damped steps lead on from the best state. They converge slowly, too, so that after
-/// some of them undamped ones follow.
+/// some of them undamped steps follow, or second derivatives once they lower J by little. Far from a minimum steps with second
+/// derivatives would be slower than damped ones.
 ///
 /// Source: Nocedal and Wright, Numerical Optimization, section 10.3.
 void gauss_newton(Objective& objective, Run& run);
