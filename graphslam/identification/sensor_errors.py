@@ -267,7 +267,7 @@ OF_ONE = {SCALE: 0.1, OFFSET: 0.5}
 #: gains of the log likelihood, divided by the sightings that count as one, with which all landmarks count as off, a single
 #: one does, and a further one; and the gain of the first test, undivided, that makes a try worth while (docs/decisions.md)
 ALL_OFF, ONE_OFF, FURTHER_OFF, PROMISING = 16.0, 10.0, 6.0, 5.0
-#: kinds whose gains differ by less than this are not told apart
+#: between kinds whose gains differ by less than this, the log does not decide
 ALIKE = 3.0
 #: standard deviations of the errors of all landmarks that are tried [parts or m]
 SPREADS = np.geomspace(1e-4, 3.0, 150)
