@@ -67,6 +67,6 @@ def test_what_is_no_number(cell, tmp_path):
 def test_times_are_exact(cell, unit, expected, tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(f"t,a\n{cell},1\n")
-    assert nanoseconds(TextTable(path), 0, unit).tolist() == [expected]
+    assert nanoseconds(TextTable(path), 0, unit, "odometry").tolist() == [expected]
     path.write_text(f"t;a\n{cell.replace('.', ',')};1,5\n")
-    assert nanoseconds(TextTable(path), 0, unit).tolist() == [expected]
+    assert nanoseconds(TextTable(path), 0, unit, "odometry").tolist() == [expected]
