@@ -90,10 +90,9 @@ class OwnBackend(Backend):
         self._sensor, self._kernel, self.lag = sensor, kernel, lag
         #: {(numbers that it has, whether the kernel acts on it): how many such measurements there are}
         self._measured = Counter[tuple[int, bool]]()
-        #: with a lag, J of windows of lag + 1 poses that follow each other, and about what it is at the true state. Poses that
-        #: stay nodes are part of every later window, so that what was measured from them, and from each pose that is not
-        #: final, is counted
+        #: with a lag, J of windows of lag + 1 poses that follow each other, and the mean of J at the true state
         self._windows = (0.0, 0.0)
+        #: what was measured from poses that stay nodes, which are part of all later windows, and from each that is not final
         self._of_kept, self._of_poses = Counter[tuple[int, bool]](), dict[int, Counter[tuple[int, bool]]]()
         self.system = engine.OnlineSystem(tolerance, PASSES)
         #: the nodes of the poses that are not final, and the values of those that are
