@@ -278,6 +278,8 @@ def test_gtsam_says_the_same():
     log, known = drive(6)
     graph = Graph.from_log(log, map=stretched(known, 1.02), dimensions=2)
     assert [n for n in solve_with_gtsam(graph).notes if n.startswith(DOUBT)] == doubts(log, stretched(known, 1.02))
+    moved = Graph.from_log(log, map=known | {0: known[0] + (0.7, -0.5)}, dimensions=2, kernel="cauchy")
+    assert set(known) - set(solve_with_gtsam(moved).graph.map) == {0}
 
 
 @pytest.mark.slow
