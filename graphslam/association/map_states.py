@@ -190,11 +190,11 @@ def map_states(
         fresh = _fresh_ids(log, known, away)
         renamed = log.replace(landmarks=np.array([fresh.get(j, j) for j in log.landmarks.tolist()], dtype=np.int64))
         built = Graph.from_log(renamed, map=used, **options)
-        solution = solve(built)
-        graph = solution.graph or built
+        latest = solve(built)
+        graph = latest.graph or built
         assert graph.map is not None
         if left_out := set(used) - set(graph.map):
-            # the first fix, or the solution, showed already that they have moved
+            # the first fix, or the solution, showed already that they have moved; they have no ids of their own there
             away = away | left_out
             if away in tried:
                 break
@@ -205,7 +205,7 @@ def map_states(
             if others | away != away:
                 away = away | others
                 continue
-        found = _shifts(solution, fresh, prior)
+        solution, found = latest, _shifts(latest, fresh, prior)
         tried.append(away)
         away = _next(solution, found, away, first=len(tried) == 1)
         if seen and seen <= away:
