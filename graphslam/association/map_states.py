@@ -42,7 +42,8 @@ from ..log import Log
 from ..maps.landmark_map import LandmarkMap, as_map
 from ..maps.map_evidence import log_sum
 from ..maps.registration import Points, register
-from ..se2 import Array, wrap
+from ..metrics import align
+from ..se2 import Array, rotation, transform, wrap
 from ..solvers.solution import Solution
 from ..solvers.solve import solve
 from .assignment import log_density
@@ -63,6 +64,8 @@ _MEANS, _SIZES = np.linspace(0.02, 0.98, 49), np.geomspace(0.5, 100.0, 16)
 #: errors in standard deviations, and their shares, that of range and bearing together
 _ERRORS, _WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
 _SHARES = np.outer(_WEIGHTS, _WEIGHTS).ravel() / _WEIGHTS.sum() ** 2
+#: errors of all places of a map [m] that are tried
+_COMMON = np.geomspace(0.01, 3.0, 30)
 #: the ends of the intervals of d over which they are integrated
 _DETECTION = np.linspace(0.0, 1.0, 41)
 
@@ -187,11 +190,11 @@ def map_states(
         fresh = _fresh_ids(log, known, away)
         renamed = log.replace(landmarks=np.array([fresh.get(j, j) for j in log.landmarks.tolist()], dtype=np.int64))
         built = Graph.from_log(renamed, map=used, **options)
-        solution = solve(built)
-        graph = solution.graph or built
+        latest = solve(built)
+        graph = latest.graph or built
         assert graph.map is not None
         if left_out := set(used) - set(graph.map):
-            # the first fix, or the solution, showed already that they have moved
+            # the first fix, or the solution, showed already that they have moved; they have no ids of their own there
             away = away | left_out
             if away in tried:
                 break
@@ -202,7 +205,7 @@ def map_states(
             if others | away != away:
                 away = away | others
                 continue
-        found = _shifts(solution, fresh, prior)
+        solution, found = latest, _shifts(latest, fresh, prior)
         tried.append(away)
         away = _next(solution, found, away, first=len(tried) == 1)
         if seen and seen <= away:
@@ -252,13 +255,31 @@ def session_states(log: Log, **options: Any) -> list[MapStates]:
 
 
 def _others(log: Log, known: LandmarkMap, seen: list[int], **options: Any) -> set[int]:
-    """The landmarks that are elsewhere in the map of the log alone, moved to where most of its landmarks fit."""
+    """The landmarks that are elsewhere in the map of the log alone, moved to where most of its landmarks fit.
+
+    There are none where errors of one size s of all places are more probable: with the displacements d_j and their
+    covariances V_j, where sum log (N(d_j; 0, V_j) + N(d_j; 0, V_j + `MOVE`² I)) / 2, at that place, is below the largest
+    sum log N(d_j; 0, V_j + s² I), where all landmarks fit best.
+    """
     own = solve(Graph.from_log(log, **(options | {"edges": "landmark+motion"}))).map
     seen = [j for j in seen if j in own]
     places, covariances = known.arrays(seen)
+    of_log, errors = own.arrays(seen)
     area = float(np.prod(np.ptp(places[:, :2], axis=0) + MOVE))
-    matches = register(Points(*own.arrays(seen), places, covariances, np.array(seen), area))
-    return {j for j, agrees in zip(seen, matches[0].agree) if not agrees} if matches else set()
+    matches = register(Points(of_log, errors, places, covariances, np.array(seen), area))
+    if not matches:
+        return set()
+
+    def densities(pose: Array, size: float) -> Array:
+        turn = rotation(pose[2])
+        V = turn @ errors[:, :2, :2] @ turn.T + covariances[:, :2, :2] + size**2 * np.eye(2)
+        return log_density(transform(pose, of_log[:, :2]) - places[:, :2], V)[0]
+
+    best, together = matches[0], align(places[:, :2], of_log[:, :2])
+    moved = np.sum(np.logaddexp(densities(best.pose, 0.0), densities(best.pose, MOVE)) - np.log(2))
+    if moved < max(np.sum(densities(together, size)) for size in _COMMON):
+        return set()
+    return {j for j, agrees in zip(seen, best.agree) if not agrees}
 
 
 def _fresh_ids(log: Log, known: LandmarkMap, away: set[int]) -> dict[int, int]:

@@ -220,8 +220,8 @@ def read_drive(
 def _exchanged(odometry: Any, sightings: Any, options: TableOptions) -> LogError | None:
     """The error of two tables of which each has the names of the columns of the other; None for others."""
     with suppress(LogError):
-        moved = Reader("odometry", table_of(sightings, "odometry"), options)
-        seen = Reader("sightings", table_of(odometry, "sightings"), options)
+        moved = Reader("odometry", table_of(sightings, "sightings"), options)
+        seen = Reader("sightings", table_of(odometry, "odometry"), options)
         motion = moved.has("nu", "omega") or moved.has("x", "y", "theta")
         if motion and moved.table.names and seen.table.names and seen.has("range", "bearing"):
             what = f"it has the columns of sightings, and {moved.table.source} those of odometry"

@@ -239,7 +239,8 @@ class Localizer:
             landmarks[~alone], earlier = seen.landmarks, seen.earlier
         if (known := landmarks != UNIDENTIFIED).any():
             observe = partial(backend.observe, pose, landmarks[known].tolist(), self._as_used(sightings[known]))
-            if self._anchored and any(j in self._landmarks for j in landmarks[known].tolist()):
+            # a range or a bearing alone does not hold it
+            if self._anchored and any(j in self._landmarks for j in landmarks[known & ~alone].tolist()):
                 backend.release(np.zeros(3), observe)
                 self._anchored = False
             else:

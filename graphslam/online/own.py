@@ -64,7 +64,7 @@ class OwnBackend(Backend):
             the prior of a stretch is relative to it. None keeps all poses.
         map: landmarks that are known beforehand, in a form that `Graph.from_log` takes; exact ones have a standard deviation
             of `HELD_STD`. Sightings have psi where all its landmarks have headings, else not. Give ``start`` in its frame.
-        start_covariance: (3, 3) of the first pose; default: it is anchored. After a first fix, four times its covariance.
+        start_covariance: (3, 3) of the first pose; default: it is anchored.
 
     Raises:
         OptionError: an option has an impossible value.
@@ -90,8 +90,10 @@ class OwnBackend(Backend):
         self._sensor, self._kernel, self.lag = sensor, kernel, lag
         #: {(numbers that it has, whether the kernel acts on it): how many such measurements there are}
         self._measured = Counter[tuple[int, bool]]()
-        #: with a lag, J of windows of lag + 1 poses that follow each other, and about what it is if the models are right
+        #: with a lag, J of windows of lag + 1 poses that follow each other, and the mean of J at the true state
         self._windows = (0.0, 0.0)
+        #: what was measured from poses that stay nodes, which are part of all later windows, and from each that is not final
+        self._of_kept, self._of_poses = Counter[tuple[int, bool]](), dict[int, Counter[tuple[int, bool]]]()
         self.system = engine.OnlineSystem(tolerance, PASSES)
         #: the nodes of the poses that are not final, and the values of those that are
         self._poses: list[int] = [self.system.add_node()]
@@ -183,7 +185,8 @@ class OwnBackend(Backend):
             and self.num_poses % (self.lag + 1) == 0
             and any(max(first, second) == self.num_poses for first, second, _, _ in relations)
         ):
-            windows = windows[0] + float(system.cost()), self._expected_cost
+            now = sum(self._of_poses.values(), self._of_kept)
+            windows = windows[0] + float(system.cost()), windows[1] + self._mean_cost(now)
         leading: Relation | None = None
         for relation, in_doubt in zip(relations, repeat(True) if doubted is None else doubted):
             first, second, z, omega = relation
@@ -238,7 +241,7 @@ class OwnBackend(Backend):
                 text += "; the solver had not converged before: is a measurement wrong? It counts little with kernel='cauchy'"
             raise GraphError(text)
         counted[1, True] += len(rows) + sum(map(len, placed.values()))
-        self._measured += counted
+        self._count(pose if len(landmarks) or numbers else self.num_poses - 1, counted)
         self._windows = windows
         for landmark, numbers_of_it in placed.items():
             self._others.placed(landmark, numbers_of_it)
@@ -260,7 +263,7 @@ class OwnBackend(Backend):
         added.add(Kind.position, ends, measured[None], information[None], lever[None], doubted)
         if not system.add(system.num_nodes, added, self._poses[-1:]):
             raise GraphError("with this position the graph is not determined, so that nothing was added")
-        self._measured[len(measured), doubted] += 1
+        self._count(pose, Counter({(len(measured), doubted): 1}))
         self._others.positions.append((pose, measured, information, lever))
         if self.lag is None:
             nodes = [*self._poses, *self._landmarks.values()]
@@ -356,13 +359,15 @@ class OwnBackend(Backend):
         """Make the oldest pose final."""
         if self.num_final == len(self._final):
             self._final = np.concatenate([self._final, np.zeros_like(self._final)])
-        oldest = self._poses.pop(0)
+        oldest, counts = self._poses.pop(0), self._of_poses.pop(self.num_final, Counter())
         # where the map grows, one at intervals stays a node: what others leave is then relative to a pose nearby
         due = self.num_final % max(self.lag or 0, STRETCH) == 0
         if due and (self.num_final == 0 or len(self._landmarks) > self._mapped):
             self._mapped = len(self._landmarks)
             self._kept.append(oldest)
             self._final[self.num_final] = self.system.values([oldest])[0]
+            # its motions become parts of the priors of the poses beside it
+            self._of_kept += Counter({key: n for key, n in counts.items() if key != (3, False)})
         else:
             self._final[self.num_final] = self.system.marginalize(oldest, self._poses[-1:])
         self.num_final += 1
@@ -371,6 +376,12 @@ class OwnBackend(Backend):
             self._kept = [number[node] for node in self._kept]
             self._poses = [number[node] for node in self._poses]
             self._landmarks = {key: number[node] for key, node in self._landmarks.items()}
+
+    def _count(self, pose: int, measured: Counter[tuple[int, bool]]) -> None:
+        """Count what was measured from a pose."""
+        self._measured += measured
+        if self.lag is not None:
+            self._of_poses.setdefault(pose, Counter()).update(measured)
 
     def _node(self, pose: int) -> int:
         return self._poses[pose - self.num_final]
@@ -414,18 +425,27 @@ class OwnBackend(Backend):
     def misfit(self) -> str:  # type: ignore[override]
         if self.lag is None or not self.num_final:
             return misfit_of_noise(self.cost, self._expected_cost)
-        cost, expected = self._windows
-        return misfit_of_noise(cost, expected * (1 + SHORT / self.lag))
+        cost, at_truth = self._windows
+        return misfit_of_noise(cost, at_truth * self._part_left * (1 + SHORT / self.lag))
 
     @property
     def _expected_cost(self) -> float:
-        # see `Graph.expected_cost`; the landmarks of the map have as many numbers as priors
-        rows = expected = 0.0
-        for (numbers, doubted), count in self._measured.items():
-            rows += numbers * count
-            expected += count * (self._kernel.mean_loss(numbers) if self._kernel and doubted else numbers)
+        return self._mean_cost(self._measured) * self._part_left
+
+    def _mean_cost(self, measured: Counter[tuple[int, bool]]) -> float:
+        """The mean of J of these measurements at the true state."""
+        return sum(
+            count * (self._kernel.mean_loss(numbers) if self._kernel and doubted else numbers)
+            for (numbers, doubted), count in measured.items()
+        )
+
+    @property
+    def _part_left(self) -> float:
+        """The part of it that the estimate leaves, see `Graph.expected_cost`."""
+        rows = sum(numbers * count for (numbers, _), count in self._measured.items())
+        # the landmarks of the map have as many numbers as priors
         unknowns = 3 * (self.num_poses - 1 + self._in_map) + (self.columns or 0) * (len(self._landmarks) - self._of_map)
-        return expected * max(1 - unknowns / max(rows, 1.0), 1e-3)
+        return max(1 - unknowns / max(rows, 1), 1e-3)
 
     @property
     def pose(self) -> Array:

@@ -385,7 +385,8 @@ def misfit_of_noise(cost: float, expected: float) -> str:
     """
     expected = max(expected, 1.0)
     v = 2 / (9 * expected)
-    if cost <= max(MISFIT_OF_LOGS, (1 - v + BEYOND_CHANCE * np.sqrt(v)) ** 3) * expected:
+    # J is NaN where it is not known
+    if not cost > max(MISFIT_OF_LOGS, (1 - v + BEYOND_CHANCE * np.sqrt(v)) ** 3) * expected:
         return ""
     return (
         f"J is {cost / expected:,.1f} {BEYOND_NOISE}: they assume less noise than there is, or measurements or ids are "

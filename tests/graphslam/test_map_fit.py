@@ -278,6 +278,10 @@ def test_gtsam_says_the_same():
     log, known = drive(6)
     graph = Graph.from_log(log, map=stretched(known, 1.02), dimensions=2)
     assert [n for n in solve_with_gtsam(graph).notes if n.startswith(DOUBT)] == doubts(log, stretched(known, 1.02))
+    log, known = drive(5)
+    wrong = known | {j: known[j] + (0.7, -0.5) for j in (0, 1)}
+    solution = solve_with_gtsam(Graph.from_log(log, map=wrong, dimensions=2, kernel="cauchy"))
+    assert set(known) - set(solution.graph.map) == {0, 1}
 
 
 @pytest.mark.slow

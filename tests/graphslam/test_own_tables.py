@@ -303,6 +303,9 @@ def test_exchanged_tables_are_said(drive):
         LogError, match=r"odometry.csv: it has the columns of sightings, and .*sightings.csv those of odom"
     ):
         load(drive(odometry=text("t,id,range,bearing", SEEN), sightings=text("t,nu,omega", ODOMETRY)))
+    moved, seen = {"t": [0, 1], "nu": [1, 1], "omega": [0, 0]}, {"t": [0], "id": [1], "range": [2], "bearing": [0]}
+    with pytest.raises(LogError, match="^odometry: it has the columns of sightings, and sightings those of odometry"):
+        Log.from_tables(seen, moved)
 
 
 def test_columns_of_one_name_have_numbers(drive, expected):

@@ -291,6 +291,25 @@ def test_exact_odometry_before_the_first_sighting_is_no_obstacle_to_a_fix():
     np.testing.assert_allclose(solver.poses[:, :2], solution.poses[:, :2], atol=1e-3)
 
 
+def test_ranges_alone_before_the_first_sighting_are_no_obstacle_to_a_fix():
+    """They do not hold the first pose, which stays at its fix until a whole sighting of the map comes."""
+    models = {"motion": MotionModel(nn=0.02, on=0.01, oo=0.02, no=0.0, epsilon=1e-9), "sensor": MODELS["sensor"]}
+    log = elsewhere(3, (-4.0, 3.0, 0.0)).without_orientation()
+    solver = OnlineSolver(map={j: place[:2] for j, place in TRUE.items()}, **models)
+    for step in range(log.num_poses):
+        if step:
+            solver.move(log.controls[step - 1], log.dt[step - 1])
+        seen = log.steps == step
+        ids, sightings = log.landmarks[seen], log.sightings[seen].copy()
+        if step < 4 and len(ids):
+            ids, sightings = ids[:1], sightings[:1]
+            sightings[:, 1] = np.nan
+        if len(ids):
+            solver.observe(ids, sightings)
+    assert solver.located
+    assert off(solver.poses[-1], log.true_poses[-1])[0] < 0.5
+
+
 @pytest.mark.parametrize("given", [True, False])
 def test_sightings_without_psi_in_a_map_with_headings(given):
     log = simulate(seed=1, steps=20, clean=True)
