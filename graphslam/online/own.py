@@ -40,8 +40,8 @@ TOLERANCE = 3e-8
 #: the fewest steps from one pose that stays a node, with a lag, to the next
 STRETCH = 20
 #: a lag of L poses makes headings look more certain than they are, so that J of right drives is up to 1 + SHORT / L times
-#: what it should be: at most 4.6 times with L = 2, 2.0 with 10 and 1.2 with 50
-SHORT = 8.0
+#: what it should be: at most 1.37 times with L = 2, 1.21 with 5 and 1.14 with 10
+SHORT = 1.0
 #: no sightings
 NO_ROWS = np.zeros((0, 3))
 
