@@ -101,7 +101,7 @@ def iterate(graph: Any, run: Run, method: Callable[[Any, Any], object], kept: fl
         run.reason += _not_finite(graph, run.state)
     if inside.damped_from >= 0:
         run.reason += f", with damped steps from step {inside.damped_from + 1} on because plain ones oscillated"
-    if inside.curved_from >= 0:
+    if 0 <= inside.curved_from < len(run.step_norms):
         run.reason += f", with second derivatives from step {inside.curved_from + 1} on because steps shrank slowly"
 
 
