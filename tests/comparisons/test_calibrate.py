@@ -307,7 +307,11 @@ def test_ranges_alone_do_not_doubt_a_file_and_their_ids_are_not_checked() -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scales", [(1.02, 0.97), (1.0, 1.04)], ids=["both biased", "one holds the ideal value"])
+@pytest.mark.parametrize(
+    "scales",
+    [(1.02, 0.97), pytest.param((1.0, 1.04), marks=pytest.mark.nightly)],
+    ids=["both biased", "one holds the ideal value"],
+)
 def test_robots_that_disagree_are_not_one(invoke: Invoke, tmp_path: Path, scales: tuple[float, float]) -> None:
     for seed, scale in zip((1001, 1003), scales):
         drive = Drive(seed=seed, duration=100.0, landmarks=16, parameters={"wheel_scale": scale})
@@ -319,25 +323,36 @@ def test_robots_that_disagree_are_not_one(invoke: Invoke, tmp_path: Path, scales
     assert "# Not recommended" in Path("noise.toml").read_text()
 
 
-@pytest.mark.slow
-def test_logs_without_ids(tmp_path: Path) -> None:
-    """Ids and noise in turn: the noise is that of the log with ids, but for the start of the search."""
+def without_ids() -> Log:
     log = load(sample_log_path())
-    unknown = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
+    return log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
+
+
+@pytest.mark.nightly
+def test_noise_of_a_log_without_ids_is_that_with_ids() -> None:
+    """Ids and noise in turn: the noise is that of the log with ids, but for the start of the search."""
+    log, unknown = load(sample_log_path()), without_ids()
     data, _, options = prepare(unknown, RunOptions.of(noise="auto"))
     assert options.noise == Path("auto") and options.calibration.sensor == options.sensor == data.sensor
     assert options.sensor.bearing_std == pytest.approx(estimate_robot(log).sensor.bearing_std, rel=1e-3)
-    assert [note for note in data.notes if note.startswith("noise estimated from this log")]
     assert [note for note in data.notes if "with 13 landmarks that were found" in note]
-    # the default is the same for a log of whose noise nothing is known, here the first half
-    half = unknown.at_steps(np.arange(unknown.num_poses // 2))
-    data, _, options = prepare(half, RunOptions.of(noise="auto"))
-    unnamed = half.replace(simulated=False)
-    by_default, _, chosen = prepare(unnamed, RunOptions())
-    assert (chosen.sensor, chosen.motion) == (options.sensor, options.motion) and by_default.notes == data.notes
+    unnamed = unknown.replace(simulated=False)
     assert FastSLAM2(unnamed, particles=2, seed=0).sensor == options.sensor
     # there are no ids that could be checked
     assert prepare(unnamed, RunOptions.of(check_ids=False))[2].sensor == options.sensor
+
+
+@pytest.mark.slow
+def test_logs_without_ids() -> None:
+    """Where nothing is known of the noise of a log, that is estimated by default."""
+    unknown = without_ids()
+    half = unknown.at_steps(np.arange(unknown.num_poses // 2))
+    data, _, options = prepare(half, RunOptions.of(noise="auto"))
+    assert options.noise == Path("auto") and options.calibration.sensor == options.sensor == data.sensor
+    assert [note for note in data.notes if note.startswith("noise estimated from this log")]
+    unnamed = half.replace(simulated=False)
+    by_default, _, chosen = prepare(unnamed, RunOptions())
+    assert (chosen.sensor, chosen.motion) == (options.sensor, options.motion) and by_default.notes == data.notes
     with pytest.raises(OptionError, match="noise must be one of auto, book, not 'bok'"):
         known_noise(unnamed, "bok")
     # what cannot tell its noise keeps the book's, and says why
@@ -349,7 +364,7 @@ def test_logs_without_ids(tmp_path: Path) -> None:
     assert [note for note in few.notes if note.startswith("the noise models are the book's, because")]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_noise_of_another_robot_is_noticed(tmp_path: Path, robot: Robot) -> None:
     log, found = robot
     noise, named = Calibration.of(found), found.ids.correct(log)
@@ -406,7 +421,7 @@ def test_a_noise_file_of_another_robot_is_doubted(tmp_path: Path, robot: Robot) 
         assert any("mean log density" in note and "the noise that was given" in note for note in found.log.notes)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_ids_that_are_not_checked(invoke: Invoke, tmp_path: Path, misread: Robot) -> None:
     log, found = misread
     write_noise(Calibration.of(found), tmp_path / "noise.toml", "drive")

@@ -87,7 +87,7 @@ def test_a_run_on_any_name(named: Path, invoke: Invoke, tmp_path: Path) -> None:
     assert again.exit_code == 0, again.output
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 # one name with all that is strange in the three, because each verb takes seconds
 @pytest.mark.parametrize("named", [FILES[2] + FILES[0] + FILES[1]], indirect=True, ids=ascii)
 def test_filters_calibration_and_films_on_any_name(named: Path, invoke: Invoke, tmp_path: Path) -> None:

@@ -99,7 +99,7 @@ def rerun_columns(path, entity):
     return columns
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_rerun_has_the_same_numbers(comparison, tmp_path):
     pytest.importorskip("rerun")
     path = tmp_path / "out.rrd"

@@ -18,7 +18,7 @@ NOISE = ("--range-std", 0.1, "--range-rate", 0, "--bearing-std", 0.02, "--nn", 0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", ["range", "bearing"])
+@pytest.mark.parametrize("number", ["range", pytest.param("bearing", marks=pytest.mark.nightly)])
 def test_empty_cells_go_through_the_command_line(invoke: Invoke, tmp_path: Path, number: str) -> None:
     log = simulate_single_numbers(number, seed=7, poses=120, landmarks=4)
     partial, times = log.partial_sightings, log.times

@@ -33,7 +33,7 @@ def test_every_variant_has_a_name_of_its_own(log: Log) -> None:
     assert all("2-D" in v.name for v in variants(log.without_orientation()))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_solvers_agree_on_a_real_log(log: Log) -> None:
     names: list[str] = []
     outcome = compare_solvers(log, motion_weights=(1.0, 10.0), jobs=0, progress=lambda entry: names.append(entry.name))

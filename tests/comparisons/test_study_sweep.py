@@ -156,7 +156,7 @@ def test_logs_that_fail_to_load_among_many(make: Callable[..., Study], tmp_path:
     assert "has changed since the study was begun" in errors["c.npz"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_time_limit_ends_one_run_and_no_other(make: Callable[..., Study]) -> None:
     # six hundred million moves of particles do not fit into three seconds
     text = "seeds = 1\ntime_limit = 3\nestimators = ['fastslam1', 'dead-reckoning']\n[simulate]\nsteps = 2000\n"

@@ -324,7 +324,7 @@ def without_ids(log: Log) -> Log:
     return log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_sightings_without_ids() -> None:
     log = load(sample_log_path())
     known, found = residuals_of_the_sample(), calibrate(without_ids(log), source="residuals")

@@ -61,6 +61,7 @@ def test_wheels_and_sensor_are_not_both_held_where_one_of_them_is_wrong(seed: in
     assert p["wheel_scale"] * (RADIUS + p["sensor_left"]) / RADIUS == pytest.approx(1.04, abs=0.005)
 
 
+@pytest.mark.nightly
 def test_the_doubt_says_how_much_the_squares_of_the_noise_change_a_scale() -> None:
     values, deviations = [], []
     for seed in (1, 3, 5):

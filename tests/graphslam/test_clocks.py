@@ -67,6 +67,7 @@ def test_offsets_are_found_to_their_standard_errors() -> None:
     assert sum(squares) < 26.1
 
 
+@pytest.mark.nightly
 def test_an_offset_more_is_found_as_so_much_more() -> None:
     before, after = clock_offsets(team(1)), clock_offsets(late(team(1), {3: 1.75}))
     assert after.seconds[2] == pytest.approx(before.seconds[2], abs=0.02)

@@ -96,7 +96,7 @@ def test_every_abuse_is_an_exception_and_no_crash():
     assert done.stdout.splitlines() == [f"{name} raised" for name, *_ in ABUSES]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_memory_comes_back():
     """Resident memory after many factors made, used and dropped; the 10^6 of the goal are in benchmarks/factors.py."""
     code = textwrap.dedent("""

@@ -81,7 +81,7 @@ def corridor(seed: int, noise: float) -> Log:
     return Log.from_tables(odometry, seen, truth={"t": t, **dict(zip(("x", "y", "theta"), poses.T))})
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_odometry_is_not_called_exact_where_no_place_is_seen_again() -> None:
     """Errors that add up do not show there: with a hundredth of typical noise NEES / 3 is 5 and 20 at single poses."""
     most = []
@@ -186,7 +186,7 @@ def test_biases_that_are_held_stay_uncertain() -> None:
     assert all(0 < deviation < PRIORS[name] for name, deviation in found.log.uncertain.items())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_covariances_allow_for_wheels_that_are_calibrated_to_a_thousandth() -> None:
     """With biases that are ideal to a millionth, NEES / 3 was 20: the poses are off by the scale of the wheels."""
     log = accurate_drive(2005, 0.0, wheel_scale=1.001)

@@ -210,7 +210,7 @@ def test_a_map_with_joint_covariances_is_doubted_where_its_size_is_wrong():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("off", [0.1, 0.3])
+@pytest.mark.parametrize("off", [pytest.param(0.1, marks=pytest.mark.nightly), 0.3])
 def test_a_part_of_a_map_that_was_surveyed_apart_is_left_out(off):
     """At 0.3 m its borders were lifts; at 0.1 m poses were several standard deviations off without a note."""
     world = np.random.default_rng(7).uniform(-8, 8, (30, 2))

@@ -57,7 +57,7 @@ def test_both_solvers_agree(kind: str) -> None:
     assert np.abs(difference(ours.state, theirs.state)).max() < 1e-7
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_robot_whose_noise_is_estimated_has_it_at_estimated_ranges() -> None:
     sensor = SensorModel(range_rate=0.1, range_std=0.0, bearing_std=0.015, max_range=6.0)
     log, _ = Drive(seed=3, duration=150.0, misread=0, sensor=sensor).simulate()

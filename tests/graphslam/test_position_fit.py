@@ -367,7 +367,7 @@ def test_covariances_with_errors_of_scans(position, monkeypatch):
     assert np.median(joint[at[1:-1, 2], at[2:, 2]]) > 0.85 * C[2, 2]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_errors_of_scans_do_not_see_the_way_between_drives():
     """Nothing is known of the motion from one drive to the next."""
     log = shaken_drive(duration=80.0, misread=0.0)
@@ -377,7 +377,7 @@ def test_errors_of_scans_do_not_see_the_way_between_drives():
     np.testing.assert_allclose(three, one, rtol=0.1, atol=0.02 * one[2, 2])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_errors_of_scans_without_landmark_nodes_and_in_joined_drives():
     drives = [
         Drive(

@@ -34,7 +34,7 @@ def tags(seed, size=0.03):
     return scales - scales[np.unique(truth.landmarks[truth.landmarks != UNIDENTIFIED])].mean()
 
 
-@pytest.mark.parametrize("seed", [102, 103])
+@pytest.mark.parametrize("seed", [102, pytest.param(103, marks=pytest.mark.nightly)])
 def test_tags_of_wrong_sizes_are_found_and_corrected(seed, monkeypatch):
     scales = tags(seed)
     log, right, _ = drive(seed, scales, SCALE)
@@ -59,6 +59,7 @@ def test_tags_of_wrong_sizes_are_found_and_corrected(seed, monkeypatch):
     assert ate(log.true_poses, wrong.poses) > 1.4 * ate(log.true_poses, solution.poses)
 
 
+@pytest.mark.nightly
 def test_covariances_contain_the_mean_of_the_tags():
     """All ranges 1 % too long look like wheels that are; with tags of 3 % this is 3 % over the root of their number."""
     log = drive(1005, tags(1005) + 0.01, SCALE)[0]
@@ -91,7 +92,7 @@ def test_a_single_landmark_is_found_and_its_sightings_come_back():
     np.testing.assert_array_equal(robot.corrected(log).sightings, even.sightings)
 
 
-@pytest.mark.parametrize("seed", [1104, 1035])
+@pytest.mark.parametrize("seed", [1104, pytest.param(1035, marks=pytest.mark.nightly)])
 def test_errors_that_last_are_not_those_of_landmarks(seed):
     """Correlated errors gained up to 20 in the log likelihood without the division by the sightings that count as one."""
     robot = estimate_robot(Drive.random(seed).simulate()[0])

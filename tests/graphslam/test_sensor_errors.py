@@ -27,7 +27,7 @@ def turned(seed, turns=((TIME, ANGLE),)):
     return log.replace(sightings=sightings), log
 
 
-@pytest.mark.parametrize("seed", [1002, 1012])
+@pytest.mark.parametrize("seed", [1002, pytest.param(1012, marks=pytest.mark.nightly)])
 def test_a_turned_sensor_is_found_and_corrected(seed, monkeypatch):
     log, right = turned(seed)
     robot = estimate_robot(log)
@@ -97,7 +97,9 @@ def test_z_is_that_of_a_further_unknown(monkeypatch):
     assert z[0] == pytest.approx(abs(step[-1]) / covariance[-1, -1] ** 0.5, rel=1e-4)
 
 
-@pytest.mark.parametrize(("seed", "near", "bend"), [(1001, 0.04, 0.0), (1009, 0.0, 0.05)])
+@pytest.mark.parametrize(
+    ("seed", "near", "bend"), [(1001, 0.04, 0.0), pytest.param(1009, 0.0, 0.05, marks=pytest.mark.nightly)]
+)
 def test_a_scale_of_the_bearings_and_a_lens_are_found_and_corrected(seed, near, bend, monkeypatch):
     drive = Drive.random(seed)
     right, _ = replace(drive, duration=200.0).simulate()
@@ -123,6 +125,7 @@ def test_a_scale_of_the_bearings_and_a_lens_are_found_and_corrected(seed, near, 
     assert ate(log.true_poses, wrong.poses) > 1.3 * ate(log.true_poses, solution.poses)
 
 
+@pytest.mark.nightly
 def test_a_lens_that_was_turned_is_one_lens_and_one_turn():
     """The axis of the lens turns with the sensor; undone in the other order, a part of the turn was found as a second one."""
     right, _ = replace(Drive.random(1002), duration=200.0).simulate()

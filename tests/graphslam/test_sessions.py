@@ -136,7 +136,7 @@ def visits() -> list[Log]:
     return [log.replace(initial_poses=between(log.initial_poses[0], log.initial_poses), **models) for log in logs]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_logs_without_ids_are_joined_by_their_maps() -> None:
     with_ids = join_logs(visits()).log
     joined = join_logs([bare(log) for log in visits()])

@@ -129,7 +129,9 @@ def test_z_is_that_of_a_further_unknown(monkeypatch):
     assert found.z == pytest.approx(max(z), rel=1e-6)
 
 
-@pytest.mark.parametrize(("seed", "column", "factor"), [(1016, 0, 1.4), (1002, 1, 0.5)])
+@pytest.mark.parametrize(
+    ("seed", "column", "factor"), [pytest.param(1016, 0, 1.4, marks=pytest.mark.nightly), (1002, 1, 0.5)]
+)
 def test_an_unknown_robot_that_slips_is_corrected(seed, column, factor):
     log, _ = drive(seed, column=column, factor=factor)
     robot = estimate_robot(log)

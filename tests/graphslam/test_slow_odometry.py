@@ -11,7 +11,7 @@ from graphslam.identification.odometry import ordinary
 from graphslam.sessions import join_logs
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_speeds_that_change_between_rows_of_odometry_are_no_delay() -> None:
     # with one row per second, the place of the sensor and its delay were 3.5 standard errors off on these drives
     errors = []

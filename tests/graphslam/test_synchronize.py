@@ -146,7 +146,7 @@ def test_in_a_silence_the_robot_may_have_gone_anywhere(length, poses):
     assert synchronize(odometry, seen(0.5, 0.9), np.zeros(2)).control_variances is None
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_drive_with_a_long_silence_is_solved():
     """Half a minute of odometry is lost; the landmarks are seen again, so that the trajectory is known nevertheless."""
     away = []

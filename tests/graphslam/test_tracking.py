@@ -362,7 +362,7 @@ def test_searches_that_find_nothing_become_rarer(monkeypatch: pytest.MonkeyPatch
     assert 4 <= len(steps) <= 12 and steps[-1] > 500
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_noise_of_an_unknown_robot_is_estimated_with_the_ids_that_the_map_gives():
     """The book's noise, which is far too wide, finds no place, or loses half of the sightings."""
     log, _ = Drive(seed=3, duration=120.0, landmarks=25, parameters={}).simulate()

@@ -41,7 +41,7 @@ def drive(ranged: bool | None, seed: int = 1, **parameters: float) -> Log:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ranged", [True, False, None])
+@pytest.mark.parametrize("ranged", [*(pytest.param(each, marks=pytest.mark.nightly) for each in (True, False)), None])
 def test_noise_is_estimated_by_default(ranged):
     log = drive(ranged)
     book, graph = solve(Graph.from_log(log, noise="book")), Graph.from_log(log)
@@ -54,7 +54,7 @@ def test_noise_is_estimated_by_default(ranged):
     assert not any("book" in note or "partial sightings" in note for note in (*graph.notes, *graph.log.notes))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_biases_are_taken_out_where_the_numbers_show_them():
     log = drive(True, wheel_scale=1.04)
     found = estimate_robot(log)

@@ -66,7 +66,7 @@ def test_the_end_does_not_depend_on_where_the_search_begins() -> None:
         assert again.log_likelihood == pytest.approx(fit.log_likelihood, abs=0.01)
 
 
-@pytest.mark.parametrize("late", [1.0, -1.0])
+@pytest.mark.parametrize("late", [1.0, pytest.param(-1.0, marks=pytest.mark.nightly)])
 def test_a_late_truth_is_said_and_by_how_much(late):
     """True poses that belong to another time have one error for all sightings of a scan."""
     log = simulate(seed=3, steps=400, clean=True, orientation=False, landmarks=20, dt=1.0, speed=0.5, turn_rate=0.3)
