@@ -404,7 +404,7 @@ def test_a_noise_file_of_the_robot_corrects_misread_ids(tmp_path: Path, misread:
     np.testing.assert_array_equal(again["graph"].poses, with_file["graph"].poses)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_noise_file_of_another_robot_is_doubted(tmp_path: Path, robot: Robot) -> None:
     log, right = robot[0], Calibration.of(robot[1])
     assert right.motion is not None

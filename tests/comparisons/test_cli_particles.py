@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 from comparisons.cli import app
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_small_study(tmp_path):
     picture = tmp_path / "study.png"
     words = ["particles", "--particles", "5,10", "--seeds", "2", "--filters", "fastslam1", "--jobs", "0"]

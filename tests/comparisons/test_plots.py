@@ -208,7 +208,14 @@ def test_a_single_sighting_is_drawn_without_warnings(log: Log) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("names", [["dead-reckoning"], ["mcl"], ["graph"], ["fastslam1", "dead-reckoning"]])
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["mcl"],
+        *(pytest.param(each, marks=pytest.mark.nightly) for each in (["dead-reckoning"], ["graph"])),
+        ["fastslam1", "dead-reckoning"],
+    ],
+)
 def test_any_selection_can_be_drawn(log: Log, names: list[str], tmp_path: Path) -> None:
     outcome = run(log, estimators=names, particles=20)
     save_figure(comparison_figure(outcome), [tmp_path / "a.png"])

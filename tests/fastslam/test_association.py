@@ -30,7 +30,7 @@ def greedy(scores: np.ndarray) -> list[int]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("version", "weight"), [(1, "exact"), (2, "exact"), (2, "linearised")])
-@pytest.mark.parametrize("columns", [2, 3])
+@pytest.mark.parametrize("columns", [2, pytest.param(3, marks=pytest.mark.nightly)])
 def test_against_the_textbooks_equations(columns: int, version: int, weight: str) -> None:
     """Ten scans of landmarks so close that particles disagree: maps, weights and poses equal those of the textbook."""
     rng, particles, p = np.random.default_rng(3), 12, 0.05

@@ -50,7 +50,7 @@ def test_it_repairs_the_early_steps_of_fastslam_1() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("offset", [(0.0, 0.0), (0.3, 0.1)])
+@pytest.mark.parametrize("offset", [pytest.param((0.0, 0.0), marks=pytest.mark.nightly), (0.3, 0.1)])
 @pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
 def test_without_common_landmarks_it_draws_the_motions(kind: type, offset: tuple[float, float]) -> None:
     """A landmark seen once ties nothing together: the trajectories are those of the motion model, with or without psi."""

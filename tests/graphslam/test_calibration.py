@@ -186,7 +186,7 @@ def test_a_mean_of_motions_counts_outliers_in_full() -> None:
     assert found.wheel_scale > 1.02
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_several_logs_give_one_noise() -> None:
     one, other = drive(1, steps=200), drive(2, steps=200)
     both, sighted = calibrate([one, other]), len(one.steps) + len(other.steps)

@@ -83,7 +83,7 @@ def test_clocks_that_agree_stay_as_they_are() -> None:
     assert alone == ClockOffsets({1: 0.0}, {1: 0.0}, 0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_joined_log_says_the_offsets(tmp_path: Path) -> None:
     robots = late(team(3), {2: -2.5})
     found = clock_offsets(robots)
@@ -103,6 +103,7 @@ def test_the_joined_log_says_the_offsets(tmp_path: Path) -> None:
     assert costs[0] < 1.2 and costs[1] > 1.5
 
 
+@pytest.mark.nightly
 def test_offsets_of_more_than_half_a_minute_are_found() -> None:
     """On the book's course, which repeats itself after 72 s, a search up to 20 s ended at 45 - 72 s and was sure of it."""
     before, after = clock_offsets(team(1)), clock_offsets(late(team(1), {2: 45.0, 3: -60.0}))

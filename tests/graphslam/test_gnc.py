@@ -30,7 +30,7 @@ def with_phantoms(log, part, seed):
 @pytest.mark.parametrize(
     "options",
     [
-        {"weight": "pairs"},
+        pytest.param({"weight": "pairs"}, marks=pytest.mark.nightly),
         {"edges": "landmark+motion"},
         pytest.param({"weight": "tempered"}, marks=pytest.mark.nightly),
         pytest.param({"weight": "marginal"}, marks=pytest.mark.nightly),

@@ -96,7 +96,7 @@ def test_a_motion_that_odometry_missed_is_found_and_not_used(push: tuple[float, 
     ("seed", "push"),
     [
         (1, (4.0, 3.0, 2.5)),
-        (101, (1.0, 0.0, 0.5)),
+        pytest.param(101, (1.0, 0.0, 0.5), marks=pytest.mark.nightly),
         pytest.param(20, (4.0, 3.0, 2.5), marks=pytest.mark.nightly),
     ],
 )
@@ -115,7 +115,7 @@ def test_a_missed_motion_is_named_where_the_noise_is_unknown(seed: int, push: tu
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 20, pytest.param(7, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (7, 20))])
 def test_the_place_after_a_declared_gap_is_found(seed: int) -> None:
     """The copies of the map need not overlap there, and chance matches across the gap are given up."""
     log, variances = circling(seed, (4.0, 3.0, 2.5)), np.zeros((STEPS, 3))

@@ -319,7 +319,7 @@ def test_ids_that_change_are_told_among_misread_ones(own):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2))])
 def test_landmarks_that_are_close_to_each_other_have_not_changed_their_ids(seed):
     """Several new landmarks at a time are beside others by chance where 600 stand on 48 m x 48 m."""
     rng, side, lane = np.random.default_rng(seed), 40.0, 8.0

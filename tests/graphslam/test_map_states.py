@@ -139,7 +139,7 @@ def moved_note(*logs):
     return [note for note in notes if note.startswith("probably moved before")]
 
 
-@pytest.mark.parametrize("share", [0.15, 0.5])
+@pytest.mark.parametrize("share", [0.15, pytest.param(0.5, marks=pytest.mark.nightly)])
 def test_a_solution_of_joined_drives_names_the_landmarks_that_moved_in_between(share):
     rng = np.random.default_rng(7)
     exact = {"sensor": SensorModel(range_rate=0.02, bearing_std=0.01, orientation_std=0.01)}

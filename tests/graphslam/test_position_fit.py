@@ -271,7 +271,7 @@ def test_encoders_with_coarse_ticks():
     assert not solution.scan_errors.any()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_times_of_scans_that_are_inexact():
     """They count as noise of the sensor; poses that follow them have an ATE of 0.054 to 0.060 m."""
     off, nees = [], []

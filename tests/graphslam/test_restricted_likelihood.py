@@ -127,7 +127,10 @@ def test_the_likelihood_is_that_of_dense_matrices() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("d", "degrees"), [(2, DEGREES_SIGHTINGS), (3, DEGREES_SIGHTINGS), (3, DEGREES_MOTIONS)])
+@pytest.mark.parametrize(
+    ("d", "degrees"),
+    [(2, DEGREES_SIGHTINGS), (3, DEGREES_MOTIONS), pytest.param(3, DEGREES_SIGHTINGS, marks=pytest.mark.nightly)],
+)
 def test_weights_of_student_t_overstate_the_information_of_gaussian_errors(d, degrees) -> None:
     """10,000 estimates of a place and of a variance, each from 60 errors N(0, I) of d numbers."""
     of_motions = degrees == DEGREES_MOTIONS

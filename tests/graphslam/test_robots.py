@@ -91,7 +91,7 @@ def errors() -> np.ndarray:
     return np.mean(rows, axis=0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_robots_that_see_each_other_are_located_better_than_alone() -> None:
     alone, by_landmarks, together = errors()
     assert together < by_landmarks < alone

@@ -66,7 +66,7 @@ def test_biases_are_taken_out_where_the_numbers_show_them():
     assert 1 / 3 < mean_nees(solution.poses, log.true_poses, solution.covariance()) < 4
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_bearings_leave_lengths_to_the_odometry():
     # in the same way as the command
     log, found = known_noise(drive(False, wheel_scale=1.04))
