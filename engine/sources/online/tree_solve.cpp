@@ -26,6 +26,9 @@ Seen seen_from(const Node& frame, const Node& node) {
     return {at.x, at.y, node.x[2] - frame.x[2], between(node.axes, frame.axes)};
 }
 Seen value_of(const Node& node) { return {node.x[0], node.x[1], node.x[2], node.axes}; }
+bool all_zero(const double* x, std::size_t count) {
+    return std::all_of(x, x + count, [](double each) { return each == 0.0; });
+}
 
 /// The frame of a supernode now and at its last evaluation: the world where it has none.
 struct Frame {
@@ -139,11 +142,19 @@ void Tree::move(Graph& graph, Supernode& group, const double* m) {
     // the nodes move along with the frame, and from there by a
     const Frame frame = frame_of(graph, group);
     const Rotation turn = between(frame.now.axes, frame.then.axes);
+    // where nothing moves, sums would change the last digits, and those of a saved system with them
+    const bool still = frame.now.x == Triple{frame.then.x, frame.then.y, frame.then.angle} && all_zero(m, 3 * front.r) &&
+                       all_zero(y, 3 * group.wide);
     for (Id q = 0; q < group.w; ++q) {
         Node& node = graph.nodes[group.nodes[q]];
         if (node.changed != step) {
             node.changed = step;
             node.kept = node.x;
+        }
+        if (still) {
+            node.x = node.base;
+            node.axes = node.base_axes;
+            continue;
         }
         const Rotation axes = node.point ? turn : between(node.base_axes, turn.inverse());
         const double* const own = a + front.pad + group.row[q];
