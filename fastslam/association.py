@@ -116,5 +116,4 @@ def _filtered(log: Log, filters: FilterOptions, motion: MotionModel, sensor: Sen
     # association knows no positions, and its start need not be in their frame
     result = FastSLAM2(log.replace(positions=None), options=filters, motion=motion, sensor=sensor).run()
     assert result.association is not None and result.unconfirmed is not None
-    lost = (result.association == UNIDENTIFIED) | result.unconfirmed
-    return np.where(lost, -1, result.association), result.poses
+    return np.where((result.association == UNIDENTIFIED) | result.unconfirmed, -1, result.association), result.poses

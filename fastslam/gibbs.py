@@ -343,8 +343,7 @@ class ParticleGibbs:
         generators = [np.random.default_rng(s) for s in self._seeds[1::2]]
         with ThreadPoolExecutor(min(o.chains, self._threads or o.chains)) as pool:
             poses = list(pool.map(_start, self._filters, generators))
-            target = Target.of(problem, o)
-            marks = target.in_engine.draw_map(poses[0], draw_key(generators[0]))
+            marks = Target.of(problem, o).in_engine.draw_map(poses[0], draw_key(generators[0]))
             chains = [
                 engine.GibbsChain(draw_key(rng), x, problem.motions_of(x[None]))
                 for rng, x in zip(generators, poses, strict=True)

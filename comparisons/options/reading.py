@@ -159,8 +159,7 @@ def _of_one_place(logs: list[Log], inflations: list[float | None], remarks: list
     sessions = graphslam.join_logs(with_common_noise(logs, inflations))
     joined = sessions.log
     with noted(remarks, "what has changed between the logs is not known"):
-        states = sessions.states or (session_states(joined) if len(logs) > 1 else ())
-        changes = zip(joined.sessions[1:], states)
+        changes = zip(joined.sessions[1:], sessions.states or (session_states(joined) if len(logs) > 1 else ()))
         # begins with no log's name: `run` shows in brief what does
         remarks += [f"compared with the logs before {each.name}, {found.sentence}" for each, found in changes]
     return joined

@@ -186,8 +186,7 @@ class EstimatorResult:
         J = np.broadcast_to(np.eye(3), covariances.shape).copy()
         J[:, 0, 2], J[:, 1, 2] = self.poses[0, 1] - self.poses[:, 1], self.poses[:, 0] - self.poses[0, 0]
         crossed = np.full(covariances.shape, np.nan)
-        uncertainty = Uncertainty(self.graph, self.state, self._solution.scan_errors)
-        crossed[self.graph.steps] = uncertainty.with_pose(0)
+        crossed[self.graph.steps] = Uncertainty(self.graph, self.state, self._solution.scan_errors).with_pose(0)
         mixed = J @ np.swapaxes(crossed, 1, 2)
         return covariances - mixed - np.swapaxes(mixed, 1, 2) + J @ covariances[0] @ np.swapaxes(J, 1, 2)
 
@@ -295,8 +294,7 @@ def typical_costs(result: EstimatorResult) -> dict[str, float]:
     }
     found = {}
     for name, families in kinds.items():
-        linear = [f.linearize(result.state, result.state) for f in families if f is not None and f.count]
-        if linear:
+        if linear := [f.linearize(result.state, result.state) for f in families if f is not None and f.count]:
             ratios = [edges.mahalanobis / CHI_SQUARE_MEDIANS[edges.residuals.shape[1]] for edges in linear]
             found[name] = float(np.median(np.concatenate(ratios)))
     return found

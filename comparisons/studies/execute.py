@@ -127,8 +127,7 @@ def _execute(run: Run, log: Log) -> dict[str, Any]:
     # not the rows of the table: they have NEES, too, for which covariances would be computed
     sources = (result, comparison.metrics[result.name])
     figures = {f.name: getattr(each, f.name) for each in sources for f in fields(Outcome) if hasattr(each, f.name)}
-    certificate = result.certificate
-    if certificate is not None and certificate.applicable:
+    if (certificate := result.certificate) is not None and certificate.applicable:
         figures["proven"] = certificate.proven
     if isinstance(found := result.origin, FilterResult):
         sighted = np.unique(comparison.log.steps)

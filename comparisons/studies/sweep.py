@@ -156,8 +156,7 @@ def _check_handshake(address: str) -> None:
     from distributed.comm import connect
 
     async def greet() -> None:
-        comm = await connect(address, timeout=PATIENCE)
-        await comm.close()
+        await (await connect(address, timeout=PATIENCE)).close()
 
     try:
         # in a thread of its own: notebooks have a running loop in this one

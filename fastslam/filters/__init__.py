@@ -375,8 +375,7 @@ class MonteCarloLocalization(ParticleFilter):
             self._engine.weigh_by(self._log_likelihoods(ids, sightings, q))
             return True
         oriented = np.array([len(m) == 3 and sightings.shape[1] == 3 for m in known])
-        places = np.array([m if len(m) == 3 else [*m, 0.0] for m in known])
-        self._engine.weigh_known(places, sightings, q, oriented)
+        self._engine.weigh_known(np.array([m if len(m) == 3 else [*m, 0.0] for m in known]), sightings, q, oriented)
         return True
 
     def _log_likelihoods(self, ids: np.ndarray, sightings: Array, q: Array) -> Array:

@@ -358,8 +358,7 @@ def _noise(every: Sequence[RobotEstimate]) -> tuple[dict[str, float], dict[str, 
         count = int(np.sum(information[:, k] > 0))
         if count > 1 and scatter[k] > chdtri(count - 1, ERROR_RATE / len(means)):
             shown = ", ".join(f"{value:.3g}" for value in (np.exp(values[:, k]) if k < len(names) else both[:, k]))
-            sentence = f"the logs disagree beyond chance on {name} ({shown})"
-            (notes if k < len(names) else doubts).append(sentence)
+            (notes if k < len(names) else doubts).append(f"the logs disagree beyond chance on {name} ({shown})")
     together = means[: len(names)] + widths.mean(axis=0)
     deviations = np.sum(information[:, : len(names)], axis=0) ** -0.5
     return dict(zip(names, together.tolist())), dict(zip(names, deviations.tolist())), notes, doubts

@@ -202,8 +202,7 @@ def _collector(bag: Bag, choice: Choice, options: TableOptions) -> Collector:
     source = f"{bag.path}: {choice.topic.name}"
     if choice.kind in MEASURED_TOPICS:
         return Poses(source, choice.kind, choice.topic.type)
-    stated = options.columns_of(choice.kind)
-    plan = plan_of(source, choice.kind, choice.topic.type, bag.types, stated)
+    plan = plan_of(source, choice.kind, choice.topic.type, bag.types, options.columns_of(choice.kind))
     return Collector(source, plan, parent=choice.parent, child=choice.child)
 
 

@@ -47,8 +47,7 @@ def _read(path: Path, options: ReadOptions) -> Log:
     content = read_archive(path, "a log")
     if str(content.get("format")) != VERSION:
         raise FormatError(path, None, f"the archive is not a log: its entry 'format' should be {VERSION!r}")
-    missing = [name for name in _REQUIRED if name not in content]
-    if missing:
+    if missing := [name for name in _REQUIRED if name not in content]:
         raise FormatError(path, None, f"the archive lacks the array {missing[0]!r}")
     try:
         notes = (*map(str, content.get("notes", ())), *_left_out(content, path, options.strict))

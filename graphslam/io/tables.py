@@ -95,8 +95,7 @@ def read_recipe(path: Path) -> Recipe:
                 clocks[table] = file.value(content, key, float, where=table)
             else:
                 columns.setdefault(table, {})[key] = file.value(content, key, str, int, where=table)
-    by_table = {**units, "columns": columns, "clocks": clocks}
-    values |= {name: value for name, value in by_table.items() if value}
+    values |= {name: value for name, value in {**units, "columns": columns, "clocks": clocks}.items() if value}
     return Recipe(file.attempt(lambda: TableOptions(**values)), places, numbers)
 
 

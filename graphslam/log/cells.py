@@ -256,8 +256,7 @@ def id_fault(table: Table, column: int, values: np.ndarray) -> Fault:
 def _whole(table: Table, column: int, values: Array) -> np.ndarray:
     """The whole numbers (N,) of a column of ids whose floating-point numbers are ``values``; 0 where it is NaN."""
     whole = np.where(np.isnan(values), 0.0, values).astype(np.int64)
-    large = np.flatnonzero(np.abs(values) >= 2.0**53)
-    if large.size:
+    if (large := np.flatnonzero(np.abs(values) >= 2.0**53)).size:
         # their last digits are in the text only
         words = table.words(column)[large]
         for k, word in zip(large.tolist(), words.tolist()):

@@ -388,8 +388,7 @@ def _controls(reader: Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.n
     # of several rows with one time the last holds
     last = np.append(np.diff(ns) > 0, True)
     poses, ns = poses[last], ns[last]
-    dt = np.diff(ns) / 1e9
-    controls, sideways = controls_between(poses, dt)
+    controls, sideways = controls_between(poses, np.diff(ns) / 1e9)
     speed, turn = np.abs(controls[:-1]).T
     heading = "theta" if reader.has("theta") else "x"
     reader.refuse_many(heading, turn, QUICKEST, "the headings turn by {:g} rad/s: are they in degrees?", "angles")

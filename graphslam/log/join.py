@@ -101,8 +101,7 @@ def _noise(reader: Reader, oriented: np.ndarray) -> Array:
             if reader.has(role) and j < d:
                 covariances[:, i, j] = covariances[:, j, i] = reader.numbers(role, finite=bool(j < 2))[:, 0]
     else:
-        one = reader.has("sigma") and not reader.has("sigma_x")
-        roles = ("sigma", "sigma") if one else ("sigma_x", "sigma_y")
+        roles = ("sigma", "sigma") if reader.has("sigma") and not reader.has("sigma_x") else ("sigma_x", "sigma_y")
         reader.need(*roles, instead=", and none for cov_xx, cov_yy instead of standard deviations")
         deviations = reader.numbers(*roles)
         if d == 3:

@@ -462,8 +462,7 @@ class Log:
         if "sightings" in changes and length_of(changes["sightings"]) != len(self.sightings):
             changes = {"classes": None} | changes
         if "controls" in changes and (self.controls is None or length_of(changes["controls"]) != len(self.controls)):
-            of_controls = ("control_starts", "control_variances", "recorded_dt", "true_path")
-            changes = dict.fromkeys(of_controls) | changes
+            changes = dict.fromkeys(("control_starts", "control_variances", "recorded_dt", "true_path")) | changes
         if "true_poses" in changes:
             changes = {"true_path": None} | changes
         return replace(self, **changes)

@@ -239,8 +239,7 @@ def _best_sequence(nodes: Graph, probability: float, max_rounds: int, initialize
         return best  # without psi, pair edges may leave poses undetermined that landmark nodes determine
     if other.settled:
         # on to the nearest minimum of the truncated squares with landmark nodes
-        state = place_landmarks(nodes.with_trust(other.trust), other.state)
-        rounds = doubts.rounds(state, other.trust)
+        rounds = doubts.rounds(place_landmarks(nodes.with_trust(other.trust), other.state), other.trust)
         rounds.settle()
         other = replace(doubts.after(rounds, other.rounds), settled=True)
     return better(other)
@@ -264,8 +263,7 @@ def _of_relations(doubts: _Doubts, max_rounds: int, initialize: str) -> Trusted:
 
 def _sequence(doubts: _Doubts, max_rounds: int, initialize: str, steps: int = STEPS) -> Trusted:
     """The sequence from plain squares to squares truncated at c²."""
-    start = minimize(doubts.graph, initialize, rough(doubts.graph)).state
-    rounds = doubts.rounds(start, steps=steps)
+    rounds = doubts.rounds(minimize(doubts.graph, initialize, rough(doubts.graph)).state, steps=steps)
     rounds.graduate(max_rounds)
     return doubts.after(rounds)
 

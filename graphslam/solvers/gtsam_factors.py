@@ -121,8 +121,7 @@ def _stacked(
     parts: list[_Part], graph: Graph, reference: Array, frame: str, kernel: Kernel | None
 ) -> Iterator[factor_types.RelativeEdgesFactor]:
     """The edges of several families, those from `TOGETHER` consecutive poses in one factor each."""
-    columns = zip(*((f.first, f.second, robust) for f, robust in parts))
-    first, second, robust = map(np.concatenate, columns)
+    first, second, robust = map(np.concatenate, zip(*((f.first, f.second, robust) for f, robust in parts)))
     measured, information = np.zeros((len(first), 3)), np.tile(np.eye(3), (len(first), 1, 1))
     start = 0
     for f, _ in parts:

@@ -422,8 +422,7 @@ def starting_state(graph: Graph, initialize: str) -> Array:
     # positions would bend what is still far from its shape; they put it where it belongs as a whole
     state = _STARTS[initialize](easier)
     held = graph.map is not None or len(graph.fixed)
-    with_heading = graph.num_nodes - len(graph.without_heading)
-    return state if held else into_world(state, graph.families, with_heading)
+    return state if held else into_world(state, graph.families, graph.num_nodes - len(graph.without_heading))
 
 
 def cartesian_first(graph: Graph) -> Array:

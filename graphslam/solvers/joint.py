@@ -303,8 +303,7 @@ class JointGraph:
     @cached_property
     def _copies(self) -> BlockSystem:
         edges, _ = copied(sighted_edges(self.graph), np.zeros((self.graph.num_nodes, 3)), len(self.graph.steps))
-        count = len(edges.sightings) + len(self.graph.landmark_ids)
-        return BlockSystem.from_cliques(count, [edges.cliques()])
+        return BlockSystem.from_cliques(len(edges.sightings) + len(self.graph.landmark_ids), [edges.cliques()])
 
 
 class Border:
@@ -431,8 +430,7 @@ def check_observable(joint: JointGraph, nodes: Array, values: Array) -> None:
     if (driven := motion_edges(graph)) is not None:
         border += Border.of_motions(driven, nodes, nodes, slopes)
     known = np.diag(border.own)
-    still = [name for name, information in zip(parameters.names, known) if not information > 0]
-    if still:
+    if still := [name for name, information in zip(parameters.names, known) if not information > 0]:
         raise GraphError(f"the log does not tell {' and '.join(still)}: nothing that was recorded depends on it")
     schur = Bordered(factor, border.mixed, border.own).schur
     scale = 1 / np.sqrt(known)

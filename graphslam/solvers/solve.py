@@ -106,8 +106,7 @@ def solve(
         )
     # the sightings that gnc trusts may change from pass to pass
     again = takes_estimated_ranges(graph, range_noise) and (method != GNC or range_noise == "estimated")
-    required = range_noise == "estimated"
-    run = partial(at_estimated_ranges, solved=solved, required=required) if again else solved
+    run = partial(at_estimated_ranges, solved=solved, required=range_noise == "estimated") if again else solved
     solution = doubted(run(graph, initialize, tolerance), lambda wider: run(wider, "given", tolerance))
     given = range_noise == "auto" and method != GNC and graph.log is not None and not graph.log.simulated
     return solution if again or not given else replace(solution, notes=(*solution.notes, *shortened_ranges(graph)))
@@ -162,8 +161,7 @@ def solve_many(graphs: Iterable[Graph], *, jobs: int | None = None, **options: A
     """
     known = [name for name in signature(solve).parameters if name not in ("graph", "callback")]
     check_known("solve_many", options, known, f"; it takes jobs and {', '.join(known)}")
-    defaults = {name: signature(solve).parameters[name].default for name in known}
-    check_options(**(defaults | options))
+    check_options(**({name: signature(solve).parameters[name].default for name in known} | options))
     if jobs is not None:
         check_count(jobs=jobs)
     if not isinstance(graphs, Iterable):
