@@ -22,13 +22,11 @@ if TYPE_CHECKING:
 
 
 def simulate(
-    output: Output,
-    out: Annotated[Path, argument("OUT", "The file to write (.npz keeps everything).")],
-    *,
+    output: Output, out: Annotated[Path, argument("OUT", "The file to write (.npz keeps everything).")], *,
     options: declared.SimulationOptions,
     format: Annotated[str | None, typer.Option(help="npz or lnpr.", show_default="by the suffix of OUT")] = None,
     truth: Annotated[bool, typer.Option(help="Keep the true poses and landmarks (lnpr cannot).")] = True,
-) -> None:
+) -> None:  # fmt: skip
     """Write a simulated log with its ground truth.
 
     The robot has the book's faults, each of which can be changed. With --clean the robot has no faults, only the noise of
@@ -253,12 +251,9 @@ def solvers(output: Output, log: LogFile = None, *, options: declared.SolverChec
 
 
 def backends(
-    output: Output,
-    files: Annotated[list[Path], argument("FILE...", "Pose graphs: g2o, TORO or iSAM text.")],
-    *,
-    options: declared.BackendOptions,
-    drawing: declared.FigureOptions,
-) -> None:
+    output: Output, files: Annotated[list[Path], argument("FILE...", "Pose graphs: g2o, TORO or iSAM text.")], *,
+    options: declared.BackendOptions, drawing: declared.FigureOptions,
+) -> None:  # fmt: skip
     """Time this solver, GTSAM and g2o on pose graphs; the same function computes the chi2 of every solver's result.
 
     Examples:

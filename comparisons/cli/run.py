@@ -187,11 +187,9 @@ def animate(
 
 
 def _compared(
-    output: Output,
-    log: Path | list[Path | None] | None,
-    chosen: declared.EstimatorOptions,
+    output: Output, log: Path | list[Path | None] | None, chosen: declared.EstimatorOptions,
     options: declared.RunOptions,
-) -> Comparison:
+) -> Comparison:  # fmt: skip
     from ..comparison import compare
     from ..estimators import default_estimators
 

@@ -188,15 +188,10 @@ class Association:
 
 
 def associate_from(
-    log: Log,
-    *,
-    motion: MotionModel | None = None,
-    sensor: SensorModel | None = None,
-    options: AssociationOptions | None = None,
-    start: Start | Begin | Sequence[Start | Begin | None] | None = None,
-    estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[str] | None = None,
-    **changes: Any,
-) -> Association:
+    log: Log, *, motion: MotionModel | None = None, sensor: SensorModel | None = None,
+    options: AssociationOptions | None = None, start: Start | Begin | Sequence[Start | Begin | None] | None = None,
+    estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[str] | None = None, **changes: Any,
+) -> Association:  # fmt: skip
     """Find out which sightings are of the same landmark, from the log alone.
 
     `fastslam.associate` calls this with the starts of its front ends.
@@ -391,14 +386,10 @@ def score(ids: np.ndarray, true_ids: np.ndarray) -> AssociationScore:
     matches = dict(zip(names[given][rows].tolist(), truths[truths != UNIDENTIFIED][columns].tolist(), strict=True))
     unmatched = np.setdiff1d(np.arange(len(among)), rows)
     return AssociationScore(
-        precision=correct / assigned if assigned else None,
-        recall=correct / seen if seen else None,
-        found=len(rows),
-        missed=among.shape[1] - len(rows),
-        doubled=int(np.sum(most[unmatched] >= np.maximum(clutter[unmatched], 1))),
-        invented=int(np.sum(most[unmatched] < clutter[unmatched])),
-        matches=matches,
-    )
+        precision=correct / assigned if assigned else None, recall=correct / seen if seen else None, found=len(rows),
+        missed=among.shape[1] - len(rows), doubled=int(np.sum(most[unmatched] >= np.maximum(clutter[unmatched], 1))),
+        invented=int(np.sum(most[unmatched] < clutter[unmatched])), matches=matches,
+    )  # fmt: skip
 
 
 def known_noise(

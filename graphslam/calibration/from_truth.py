@@ -241,14 +241,9 @@ def _lateness(log: Log, sensor: SensorModel, single: float) -> float | None:
 
 
 def fit_with_means(
-    residuals: Callable[[Array], Array],
-    slopes: Callable[[Array], Array],
-    ideal: Array,
-    parts: Mapping[str, Array],
-    degrees: float | None,
-    *,
-    robust: bool = True,
-) -> tuple[VarianceFit, Array, Array]:
+    residuals: Callable[[Array], Array], slopes: Callable[[Array], Array], ideal: Array, parts: Mapping[str, Array],
+    degrees: float | None, *, robust: bool = True,
+) -> tuple[VarianceFit, Array, Array]:  # fmt: skip
     """Variances and means in turn: the means by weighted least squares with the last variances and weights, and so on.
 
     Args:

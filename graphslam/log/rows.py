@@ -82,14 +82,9 @@ class Fault:
 
 
 def sound_rows(
-    total: int,
-    noun: str,
-    faults: Sequence[Fault],
-    error: Callable[[int, str], LogError],
-    *,
-    strict: bool = False,
+    total: int, noun: str, faults: Sequence[Fault], error: Callable[[int, str], LogError], *, strict: bool = False,
     source: str = "",
-) -> tuple[np.ndarray, tuple[str, ...]]:
+) -> tuple[np.ndarray, tuple[str, ...]]:  # fmt: skip
     """The rows (N,) bool of a table that can be, and notes on those that are left out.
 
     Args:
