@@ -25,8 +25,7 @@ from .estimators import ESTIMATORS, check_estimators, default_estimators
 from .estimators.attempt import Skipped, attempts
 from .estimators.config import config_text
 from .estimators.filters import Announce, announce_memory
-from .options import AUTO, DOUBTFUL, MODELS, LimitOptions, OutputOptions, RunOptions
-from .options.declaration import options_of
+from .options import AUTO, DOUBTFUL, MODELS, LimitOptions, OutputOptions, RunOptions, options_of
 from .options.reading import LogOrPath, prepare
 from .options.toml_files import write_noise
 from .results import Displayed, EstimatorResult, noted, typical_costs

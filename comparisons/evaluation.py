@@ -34,8 +34,7 @@ from graphslam.maps.map_files import COVARIANCE, UPPER
 from graphslam.se2 import Array, compose, transform
 
 from .options import EvaluationOptions
-from .results import Displayed
-from .results.documents import Count, jsonable
+from .results import Count, Displayed, jsonable
 
 #: times that differ by at most this are the same [ns]: those since 1970 are rounded in other programs
 ROUNDED = 1_000

@@ -29,8 +29,7 @@ from graphslam.se2 import Array
 
 from .options import ImportOptions, ReadingOptions
 from .options.reading import read_log
-from .results import Displayed
-from .results.documents import Count, LogDocument, Numbers, describe, one_of
+from .results import Count, Displayed, LogDocument, Numbers, describe, one_of
 from .results.files import elapsed_of
 
 #: what a table or topic holds

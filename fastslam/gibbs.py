@@ -19,14 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphslam import Cauchy, Graph, GraphError, solve
+from graphslam import Cauchy, Graph, GraphError, MotionModel, SensorModel, solve
 from graphslam.edges.relative import DoubtedPointEdges, RelationEdges, RelativePoseEdges
 from graphslam.engine import engine
 from graphslam.errors import LogError, OptionError, quoted
 from graphslam.errors.checks import check_known
 from graphslam.linear.cholesky import FactorizationError
 from graphslam.log import Log, check_is_log
-from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, difference, wrap
 
 from .filters import FastSLAM2

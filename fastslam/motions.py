@@ -23,14 +23,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphslam import Graph, solve
+from graphslam import AbsolutePositions, Graph, GraphError, LandmarkMap, Log, OptionError, solve
 from graphslam.edges import AnchorEdges
 from graphslam.engine import available_threads, engine
-from graphslam.errors import GraphError, OptionError
 from graphslam.errors.checks import finite_numbers
-from graphslam.log import Log
-from graphslam.log.measurements import AbsolutePositions
-from graphslam.maps.landmark_map import LandmarkMap
 from graphslam.maps.localization import SURE, Fix, first_fix
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, between, difference, mounted, perpendicular, transform, wrap

@@ -26,10 +26,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from graphslam import LandmarkMap, MotionModel, OptionError, SensorModel
 from graphslam.engine import engine
-from graphslam.errors import OptionError
-from graphslam.maps.landmark_map import LandmarkMap
-from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, difference, wrap
 from graphslam.solvers.uncertainty import ids_of, shaped, split
 

@@ -316,8 +316,7 @@ def _names() -> tuple[frozenset[str], frozenset[str]]:
     # options are not imported until a sentence needs them, so that help is shown at once
     from graphslam.log.rows import TableOptions
 
-    from ..options import RunOptions
-    from ..options.declaration import options_of
+    from ..options import RunOptions, options_of
 
     return frozenset(options_of(TableOptions)), frozenset(options_of(RunOptions))
 

@@ -95,8 +95,7 @@ def _noise_advice(outcome: Comparison, log: Path | None, options: declared.RunOp
     """The command that finds better noise models, where those of the book do not fit a log in which nothing is suspicious."""
     from graphslam.identification.robot import FEWEST
 
-    from ..options import DOUBTFUL, ReadingOptions
-    from ..options.declaration import options_of
+    from ..options import DOUBTFUL, ReadingOptions, options_of
 
     fits = outcome.noise_ratio is None or 1 / DOUBTFUL <= outcome.noise_ratio[1] <= DOUBTFUL
     of_book = set(outcome.noise_source.values()) == {"book"}

@@ -29,8 +29,7 @@ from graphslam.solvers.iteration import Run
 from graphslam.solvers.minimize import AT_MEASURED, shortened_ranges, takes_estimated_ranges
 from graphslam.solvers.solution import BEYOND_NOISE, make_solution
 
-from ..options import FrontEndOptions, GraphOptions, RunOptions
-from ..options.declaration import options_of
+from ..options import FrontEndOptions, GraphOptions, RunOptions, options_of
 from ..results import EstimatorResult, noted
 from .filters import FILTER, identified, mcl, of_several_seeds, timed
 

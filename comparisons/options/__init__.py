@@ -28,7 +28,7 @@ from graphslam.simulation.simulator import MotionFaults, SensorFaults
 from graphslam.simulation.worlds import WORLDS, World
 from graphslam.solvers import INITIALIZE
 
-from .declaration import OUTPUT, EvaluationOptions, ImportOptions, Options  # noqa: F401
+from .declaration import OUTPUT, EvaluationOptions, ImportOptions, Option, Options, options_of  # noqa: F401
 
 #: the noise models: parameter name of an estimator and table of a TOML file -> the model
 MODELS: dict[str, type[MotionModel] | type[SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 import graphslam
-from graphslam import FormatError, GraphError, Log, LogError, MotionModel, OptionError, SensorModel
+from graphslam import FormatError, GraphError, Log, LogError, MotionModel, OptionError, SensorModel, estimate_robot
 from graphslam.association import known_noise
 from graphslam.association.map_states import map_states, session_states
 from graphslam.calibration import Calibration
@@ -34,7 +34,6 @@ from graphslam.log.rows import ReadOptions
 from graphslam.maps.landmark_map import as_map
 from graphslam.maps.tracking import in_frame_of
 from graphslam.sessions import clock_offsets, join_robots, with_common_noise
-from graphslam.solvers.unknown_robot import estimate_robot
 
 from ..results import noted
 from . import AUTO, BOOK, CalibrationOptions, LogOptions, MapOptions, NoiseOptions, ReadingOptions

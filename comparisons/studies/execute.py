@@ -38,11 +38,9 @@ from graphslam.metrics import ate
 from ..comparison import compare
 from ..estimators.attempt import too_long
 from ..estimators.config import versions
-from ..options import NoiseOptions, ReadingOptions, RunOptions
-from ..options.declaration import options_of
+from ..options import NoiseOptions, ReadingOptions, RunOptions, options_of
 from ..options.reading import read_log, sha256_of
-from ..results import Figures, sentence
-from ..results.documents import Count
+from ..results import Count, Figures, sentence
 from .plan import Run, Study, simulated_log
 
 #: a run ended well, raised (or its process died), or took longer than the limit

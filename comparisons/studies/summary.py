@@ -28,8 +28,7 @@ from graphslam.errors.checks import suggestion
 from graphslam.files import write_whole
 
 from ..options import METRICS
-from ..results import Displayed
-from ..results.documents import Band, Count, json_line
+from ..results import Band, Count, Displayed, json_line
 from .execute import COLUMNS, DONE, TIMEOUT, StudyDatabase
 
 #: the share of resamples that the interval holds

@@ -24,11 +24,10 @@ from typing import Any
 
 import numpy as np
 
+from graphslam import Log, OptionError
 from graphslam.association import ids_by_map
 from graphslam.association.problem import Classes
-from graphslam.errors import OptionError
 from graphslam.graph.trilateration import WaitingNumbers, edges_of_rows
-from graphslam.log import Log
 from graphslam.maps.landmark_map import as_map
 from graphslam.se2 import Array, wrap
 

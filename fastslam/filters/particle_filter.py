@@ -15,14 +15,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from graphslam import AbsolutePositions, Log, MotionModel, SensorModel
 from graphslam.association import known_noise
 from graphslam.engine import available_threads, engine
 from graphslam.errors import LogError, OptionError, quoted
 from graphslam.errors.checks import check_known, check_move, check_type
-from graphslam.log import Log
-from graphslam.log.measurements import AbsolutePositions
 from graphslam.maps.localization import Fix
-from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, difference
 
 from ..doubts import noted

@@ -39,14 +39,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..edges import (
-    LandmarkPriors,
-    ObservationEdges,
-    PolarObservationEdges,
-    PositionEdges,
-    PriorEdges,
-    RelationEdges,
-)
+from ..edges import LandmarkPriors, ObservationEdges, PolarObservationEdges, PositionEdges, PriorEdges, RelationEdges
 from ..errors import GraphError
 from ..errors.checks import listed
 from ..graph import Graph

@@ -48,18 +48,8 @@ from ..edges import (
 from ..engine import engine
 from ..errors import GraphError, quoted
 from ..errors.checks import check_choice
-from ..graph import Graph
+from ..graph import Graph, transform
 from ..graph.defaults import into_world
-from ..graph.transform import (
-    coarse,
-    filled,
-    first_poses,
-    first_seen,
-    of_nodes,
-    with_cartesian_sightings,
-    without_landmarks,
-    without_positions,
-)
 from ..graph.trilateration import Places, other_places, places_of
 from ..maps.localization import registered
 from ..se2 import Array, chained, compose, wrap
@@ -72,7 +62,7 @@ def rotation_first(graph: Graph) -> Array:
     Raises:
         GraphError: the edges do not connect all headings (no psi and no motion edges, for instance).
     """
-    graph, state = with_cartesian_sightings(graph) or graph, graph.initial.copy()
+    graph, state = transform.with_cartesian_sightings(graph) or graph, graph.initial.copy()
     held = _held(graph, state)
     try:
         state, unturned, untied, unlisted = engine.rotation_first(graph.objective, state, held, len(graph.steps))
@@ -181,10 +171,12 @@ def sequential_start(graph: Graph, poses: int) -> Array:
         GraphError: no chain of motion edges leads through all poses, or a family of edges cannot be divided.
     """
     parents, offsets = _tree(graph)
-    state = engine.grow(graph.objective, graph.initial, len(graph.steps), poses, parents, offsets, first_seen(graph))
+    state = engine.grow(
+        graph.objective, graph.initial, len(graph.steps), poses, parents, offsets, transform.first_seen(graph)
+    )
     if state is None:
         # dividing them in Python, too, names the family
-        first_poses(graph, 1)
+        transform.first_poses(graph, 1)
         raise AssertionError("a family that cannot be divided in the engine can be divided")
     return state
 
@@ -194,7 +186,7 @@ def _tree(graph: Graph) -> tuple[np.ndarray, Array]:
 
     Poses follow from the pose before, landmarks from the first pose that sees them.
     """
-    graph = with_cartesian_sightings(graph) or graph
+    graph = transform.with_cartesian_sightings(graph) or graph
     poses, unturned = len(graph.steps), np.zeros_like(graph.initial)
     parents, offsets = np.full(graph.num_nodes, -1), np.zeros((graph.num_nodes, 3))
     parents[1:poses] = np.arange(poses - 1)
@@ -307,9 +299,9 @@ def grown_from_single_numbers(graph: Graph) -> Array:
             if found.clear or (count == poses and len(found.places)):
                 state[node, :2] = found.places[0]
                 placed.add(node)
-        piece, nodes = first_poses(graph, count)
+        piece, nodes = transform.first_poses(graph, count)
         used = (nodes < poses) | np.isin(nodes, list(placed))
-        piece, kept = of_nodes(piece, used)
+        piece, kept = transform.of_nodes(piece, used)
         state[nodes[kept]] = _solved(piece, state[nodes[kept]])
         if count == poses:
             break
@@ -416,7 +408,7 @@ def starting_state(graph: Graph, initialize: str) -> Array:
         OptionError: there is no such start.
     """
     check_choice("initialize", initialize, _STARTS)
-    easier = without_positions(graph)
+    easier = transform.without_positions(graph)
     if easier is graph or initialize == "given":
         return _STARTS[initialize](graph)
     # positions would bend what is still far from its shape; they put it where it belongs as a whole
@@ -431,7 +423,7 @@ def cartesian_first(graph: Graph) -> Array:
     Raises:
         GraphError: there are no polar residuals, or the edges do not determine the nodes.
     """
-    easier = with_cartesian_sightings(graph)
+    easier = transform.with_cartesian_sightings(graph)
     if easier is None:
         raise GraphError("there are no sightings with a polar residual")
     return end_of(gauss_newton, easier, starting_state(easier, "auto"))
@@ -443,13 +435,13 @@ def virtual_motion_first(graph: Graph) -> Array:
     Raises:
         GraphError: the graph has no sightings of landmark nodes, or they do not determine the poses.
     """
-    easier = without_landmarks(graph)
+    easier = transform.without_landmarks(graph)
     if easier is None:
         raise GraphError("there are no sightings of landmark nodes to make virtual-motion edges of")
-    if len(graph.steps) > LONG and (coarser := coarse(graph, EVERY)) is not None:
+    if len(graph.steps) > LONG and (coarser := transform.coarse(graph, EVERY)) is not None:
         smaller, nodes = coarser
         poses = virtual_motion_first(smaller)[: len(smaller.steps)]
-        easier = easier.with_initial(filled(graph, nodes[: len(poses)], poses))
+        easier = easier.with_initial(transform.filled(graph, nodes[: len(poses)], poses))
     return place_landmarks(graph, _in_map(graph, end_of(gauss_newton, easier, easier.initial)))
 
 

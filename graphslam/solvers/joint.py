@@ -39,15 +39,7 @@ from ..engine import engine
 from ..errors import GraphError
 from ..errors.checks import first
 from ..graph import Graph
-from ..identification.corrections import (
-    controls_at_steps,
-    corrected_controls,
-    corrected_log,
-    corrected_sensor,
-    corrected_sightings,
-    motion_slopes,
-    moves,
-)
+from ..identification import corrections
 from ..identification.declared import PARAMETERS, Parameters
 from ..linear.cholesky import Bordered, Factor, FactorizationError, SingularPivot
 from ..linear.information import BlockSystem
@@ -89,7 +81,7 @@ def finished(graph: Graph, values: Array, state: Array) -> Graph:
         LogError: a corrected range would not be above zero.
     """
     found = corrected(graph, values, state)
-    log, sensor = corrected_log(found.estimated), corrected_sensor(found.estimated)
+    log, sensor = corrections.corrected_log(found.estimated), corrections.corrected_sensor(found.estimated)
     if graph.log is not None and not graph.log.has_orientation:
         log = log.without_orientation()
     return found.with_families(found.families, log=log, sensor=sensor)
@@ -100,15 +92,15 @@ def controls_of(graph: Graph) -> Array:
     assert graph.log is not None
     if "sensor_delay" not in graph.estimated.names:
         return np.zeros((len(graph.sighting_rows), 2))
-    return controls_at_steps(graph.estimated)[graph.log.steps[graph.sighting_rows]]
+    return corrections.controls_at_steps(graph.estimated)[graph.log.steps[graph.sighting_rows]]
 
 
 def _sightings(graph: Graph, parameters: Parameters) -> SightingEdges:
     """The edges from sightings, with corrected sightings."""
     edges = sighted_edges(graph)
-    z = corrected_sightings(parameters, graph.sighting_rows, edges.sightings.shape[1])
+    z = corrections.corrected_sightings(parameters, graph.sighting_rows, edges.sightings.shape[1])
     z[:, 1:] = wrap(z[:, 1:])
-    return replace(edges, sightings=z, sensor=corrected_sensor(parameters), noise_at=None)  # type: ignore[call-arg]
+    return replace(edges, sightings=z, sensor=corrections.corrected_sensor(parameters), noise_at=None)  # type: ignore[call-arg]
 
 
 def _motions(edges: RelativePoseEdges, here: Parameters, there: Parameters) -> RelativePoseEdges:
@@ -117,13 +109,13 @@ def _motions(edges: RelativePoseEdges, here: Parameters, there: Parameters) -> R
     assert log.dt is not None
     nodes = np.append(edges.first, edges.second[-1:])
     noisy = make_motion_edges(
-        nodes, corrected_controls(there), log.dt, motion, starts=log.control_starts,
+        nodes, corrections.corrected_controls(there), log.dt, motion, starts=log.control_starts,
         control_variances=log.control_variances, recorded_dt=log.recorded_dt, frame=edges.frame,
         scale=here.options.motion_weight,
     )  # fmt: skip
     if here.values is there.values or np.array_equal(here.values, there.values):
         return noisy
-    measured, _ = engine.accumulated_slopes(corrected_controls(here), log.dt, log.control_starts)
+    measured, _ = engine.accumulated_slopes(corrections.corrected_controls(here), log.dt, log.control_starts)
     return replace(noisy, measured=measured)
 
 
@@ -295,7 +287,7 @@ class JointGraph:
         predicted = seen.predicted(held)
         border = Border.of_sightings(self._copies, graph, seen, nodes, held, predicted, controls).scaled(factor)
         if driven is not None:
-            _, slopes = motion_slopes(parameters, corrected_controls(parameters))
+            _, slopes = corrections.motion_slopes(parameters, corrections.corrected_controls(parameters))
             border += Border.of_motions(driven, nodes, held, slopes)
         priors, pulled = parameters.weights, parameters.values - parameters.means
         return border + Border(np.zeros_like(border.mixed), np.diag(priors), -priors * pulled)
@@ -331,7 +323,7 @@ class Border:
         free.accumulate(at, copied(edges, held, poses)[1], copies)
         moved = np.zeros((len(at), 3, len(parameters)))
         controls = controls_of(graph) if controls is None else controls
-        moved[:count] = turn_matrix(at[:count, 2]) @ moves(parameters, predicted, controls)
+        moved[:count] = turn_matrix(at[:count, 2]) @ corrections.moves(parameters, predicted, controls)
         weighed = times(copies, moved)
         mixed = np.zeros((len(nodes), 3, len(parameters)))
         np.add.at(mixed, edges.first if isinstance(edges, ObservationEdges) else edges.nodes, weighed[:count])  # type: ignore[attr-defined]
@@ -465,5 +457,5 @@ def _without_noise(graph: Graph, nodes: Array) -> tuple[Graph, Array]:
     if driven is not None:
         measured = between(nodes[driven.first], nodes[driven.second])
         changed[driven] = replace(driven, measured=measured)  # type: ignore[index, assignment]
-        _, slopes = motion_slopes(parameters, corrected_controls(parameters), measured[:, :2])
+        _, slopes = corrections.motion_slopes(parameters, corrections.corrected_controls(parameters), measured[:, :2])
     return graph.with_families(changed.get(family, family) for family in graph.families), slopes  # type: ignore[call-overload]

@@ -29,15 +29,8 @@ from ..maps.stretch import Stretch
 from ..maps.tracker import beyond, inflation, presence
 from ..metrics import pose_nees
 from ..se2 import Array, difference, wrap
+from . import contradictions
 from .certificate import Certificate, prove
-from .contradictions import (
-    TAKEN_FOR_RIGHT,
-    doubt_of_map,
-    doubt_of_positions,
-    doubt_of_relations,
-    without_moved,
-    without_slips_of,
-)
 from .iteration import Run
 from .joint import motion_edges
 from .map_errors import in_wider_map, said_of_wider
@@ -442,26 +435,26 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
         return solution
     in_map = again if graph.reweighted else None
     if in_map is not None:
-        solution, of_moved = without_moved(solution, in_map)
+        solution, of_moved = contradictions.without_moved(solution, in_map)
         graph = solution.graph or graph
         notes += [of_moved] * bool(of_moved)
-    found, deviation, sure = doubt_of_map(graph, solution.state, suspected=in_map is not None)
+    found, deviation, sure = contradictions.doubt_of_map(graph, solution.state, suspected=in_map is not None)
     wider = in_wider_map(solution, deviation, in_map) if deviation and in_map is not None else None
     if wider is None and not sure:
-        found, *_ = doubt_of_map(graph, solution.state, suspected=False)
+        found, *_ = contradictions.doubt_of_map(graph, solution.state, suspected=False)
     if found:
         if wider is not None:
             solution, deviation = wider
-            found = found.replace(TAKEN_FOR_RIGHT, said_of_wider(deviation))
+            found = found.replace(contradictions.TAKEN_FOR_RIGHT, said_of_wider(deviation))
             graph = solution.graph or graph
         notes.append(found)
-    solution, of_odometry = without_slips_of(solution, again)
+    solution, of_odometry = contradictions.without_slips_of(solution, again)
     graph = solution.graph or graph
     solution, lasting = with_lasting_errors(solution, again)
     graph = solution.graph or graph
-    of_positions = doubt_of_positions(graph, solution.state, lasting=bool(lasting))
+    of_positions = contradictions.doubt_of_positions(graph, solution.state, lasting=bool(lasting))
     common, of_scans = errors_of_scans(graph, solution.state)
-    of_relations = doubt_of_relations(graph, solution.state)
+    of_relations = contradictions.doubt_of_relations(graph, solution.state)
     notes += filter(None, (of_positions, of_relations, lasting, *of_odometry, of_scans))
     # families that do not say how many numbers they measure leave the expected cost open
     counted = all(f.numbers[0] or isinstance(f, AnchorEdges) or not f.count for f in graph.families)

@@ -27,8 +27,7 @@ from graphslam.log import UNIDENTIFIED
 
 from ...comparison import Comparison, run
 from ...estimators.config import versions
-from ...results import EstimatorResult, sentence
-from ...results.documents import jsonable
+from ...results import EstimatorResult, jsonable, sentence
 from ...results.files import check_can_write
 from ...results.results import sightings_of
 from ..canvas import MATRIX, colour_of, reference_of
