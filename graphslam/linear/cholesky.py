@@ -244,13 +244,9 @@ class Factor:
 
 
 def analyze(
-    indptr: NDArray[Any],
-    indices: NDArray[Any],
-    *,
-    ordering: NDArray[Any] | None = None,
-    points: NDArray[Any] | None = None,
-    check: bool = True,
-) -> Symbolic:
+    indptr: NDArray[Any], indices: NDArray[Any], *, ordering: NDArray[Any] | None = None,
+    points: NDArray[Any] | None = None, check: bool = True,
+) -> Symbolic:  # fmt: skip
     """Symbolic analysis of a symmetric positive definite matrix of 3x3 blocks.
 
     Args:
