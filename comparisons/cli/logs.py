@@ -51,10 +51,8 @@ def simulate(
 
 
 def calibrate(
-    output: Output,
-    log: LogFile = None,
-    others: Annotated[list[Path] | None, argument("LOG ...", "More logs of the same kind of robot.")] = None,
-    *,
+    output: Output, log: LogFile = None,
+    others: Annotated[list[Path] | None, argument("LOG ...", "More logs of the same kind of robot.")] = None, *,
     options: declared.CalibrationOptions,
     out: Annotated[Path | None, typer.Option(
         metavar="FILE", help="Write the noise models there (TOML), for run --noise.", rich_help_panel=declared.OUTPUT,
@@ -101,10 +99,8 @@ def evaluate(
         Path, argument("TRUTH", "The true poses: a table (.csv, .tum, ...), BAG:TOPIC, or a log with ground truth.")
     ],
     estimates: Annotated[list[Path], argument("ESTIMATE ...", "Estimated poses: tables, bags or BAG:TOPIC, or .npz.")],
-    *,
-    options: declared.EvaluationOptions,
-    drawing: declared.FigureOptions,
-) -> None:
+    *, options: declared.EvaluationOptions, drawing: declared.FigureOptions,
+) -> None:  # fmt: skip
     """Compare trajectories and maps of any program with the ground truth.
 
     A trajectory is a table with columns t, x, y and theta, or a quaternion; TUM files are read as they are. Covariances of

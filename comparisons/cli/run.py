@@ -120,10 +120,8 @@ def report(
     words: Annotated[
         list[str], argument("[LOG] OUT.html", "The log (default: the sample log of the package), and the page.")
     ],
-    *,
-    chosen: declared.EstimatorOptions,
-    options: declared.RunOptions,
-) -> None:
+    *, chosen: declared.EstimatorOptions, options: declared.RunOptions,
+) -> None:  # fmt: skip
     """Run all estimators on one log and write an interactive report: one HTML file that works offline.
 
     Examples:
@@ -149,9 +147,7 @@ def animate(
         "[LOG] OUT",
         "The log (default: the sample log of the package), and the animation: .gif, .mp4 (needs ffmpeg) or .html.",
     )],
-    *,
-    animation: declared.AnimationOptions,
-    options: declared.RunOptions,
+    *, animation: declared.AnimationOptions, options: declared.RunOptions,
 ) -> None:  # fmt: skip
     """Animate an estimator: a graph as it is solved, particles and their maps, ISAM2 as the robot drives, sampled paths.
 

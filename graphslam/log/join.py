@@ -398,16 +398,12 @@ def end_to_end(first: Log, second: Log) -> Log:
     # where one of them has true poses and no path, there is none of both
     has_path = all(each.true_path is not None for each in (a, b) if each.true_poses is not None)
     return a.replace(
-        dt=np.concatenate([a.dt, [APART], b.dt]),
-        controls=np.concatenate([a.controls, np.zeros((1, 2)), b.controls]),
+        dt=np.concatenate([a.dt, [APART], b.dt]), controls=np.concatenate([a.controls, np.zeros((1, 2)), b.controls]),
         control_starts=np.concatenate([a.control_starts, pieces + b.control_starts]),
         control_variances=np.concatenate([of_first, [np.array(ANYWHERE) / APART**2], of_second]),
         recorded_dt=np.concatenate([recorded[0], [APART], recorded[1]]),
-        steps=np.concatenate([a.steps, poses + b.steps]),
-        landmarks=both("landmarks"),
-        sightings=both("sightings"),
-        classes=both("classes"),
-        initial_poses=both("initial_poses"),
+        steps=np.concatenate([a.steps, poses + b.steps]), landmarks=both("landmarks"), sightings=both("sightings"),
+        classes=both("classes"), initial_poses=both("initial_poses"),
         true_poses=with_unknown("true_poses", (poses, b.num_poses)),
         true_path=with_unknown("true_path", (pieces, len(b.controls) + 1)) if has_path else None,
         true_landmarks={**(b.true_landmarks or {}), **(a.true_landmarks or {})} or None,

@@ -105,12 +105,7 @@ def readings_of(log: Log) -> Iterator[Finding]:
         # fixed axes, which are those of a turned sensor where the robot drives straight on
         best = min(
             (reading for reading in likely if reading.error <= _ALIKE * least),
-            key=lambda reading: (
-                reading.check == FIXED,
-                "about" in reading.message,
-                reading.check == "clock",
-                reading.error,
-            ),
+            key=lambda each: (each.check == FIXED, "about" in each.message, each.check == "clock", each.error),
         )
         times = f"{best.given / best.error:.1f}" if best.error > 0 else "infinitely many"
         yield Finding(best.check, f"{best.message}: read like this, they fit the odometry {times} times better")
