@@ -182,8 +182,7 @@ def _with_places(recipe: Recipe, named: dict[str, str]) -> Recipe:
 
 def _stream(kind: str, stream: Timed) -> FoundStream:
     begin, end = stream.times[0] / 1e9, stream.times[-1] / 1e9
-    different = 1 + int(np.count_nonzero(np.diff(stream.times)))
-    rate = (different - 1) / (end - begin) if end > begin else None
+    rate = np.count_nonzero(np.diff(stream.times)) / (end - begin) if end > begin else None
     return FoundStream(kind, stream.table.source, len(stream.times), begin, end, rate, stream.columns)
 
 

@@ -119,9 +119,8 @@ class FilterOptions:
 
     def for_ids(self, identified: bool) -> FilterOptions:
         """These options with the association that auto stands for where sightings have ids or, else, have none."""
-        if self.association != "auto":
-            return self
-        return replace(self, association="known" if identified else WITHOUT_IDS)
+        chosen = "known" if identified else WITHOUT_IDS
+        return replace(self, association=chosen) if self.association == "auto" else self
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,8 +237,7 @@ def check_one_drive(name: str, log: Log, *, is_class: bool = False) -> None:
     others = "graph, gtsam and isam2 solve them together"
     if is_class:
         others = "FastSLAM2 finds the robot where the next one begins, and solve takes them together"
-    these = f"these are {len(log.sessions)} logs"
-    raise OptionError(f"{name} follows one robot from its start, and {these}; {others}")
+    raise OptionError(f"{name} follows one robot from its start, and these are {len(log.sessions)} logs; {others}")
 
 
 def check_memory(log: Log, options: FilterOptions, *, maps: bool) -> None:

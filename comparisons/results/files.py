@@ -202,9 +202,7 @@ def elapsed_of(log: Log) -> Array:
 
     It is exact where `times_of` is not: seconds since 1970 leave no room for nanoseconds in a floating-point number.
     """
-    if log.dt is None:
-        return np.arange(log.num_poses, dtype=float)
-    return log.control_times[log.control_starts]
+    return np.arange(log.num_poses, dtype=float) if log.dt is None else log.control_times[log.control_starts]
 
 
 def time_axis(log: Log) -> str:

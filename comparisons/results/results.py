@@ -171,9 +171,7 @@ class EstimatorResult:
     @cached_property
     def expected_ate_m(self) -> float | None:
         """The ATE [m] that the covariances of a graph predict; None where they are not known."""
-        if self._solution is None or self.covariance_failure is not None:
-            return None
-        return self._solution.expected_ate
+        return None if self._solution is None or self.covariance_failure is not None else self._solution.expected_ate
 
     def _relative_covariances(self, covariances: Array) -> Array | None:
         """The covariances (T+1, 3, 3) of the poses of a graph against its first pose, whose errors move all others along.

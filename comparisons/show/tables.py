@@ -177,9 +177,7 @@ def number(value: float | None, digits: int = 3) -> str:
     """A number for a table: short, and a dash where it is not known."""
     if value is None or value != value:
         return NOTHING
-    if value == 0 or 1e-3 <= abs(value) < 1e5:
-        return f"{value:.{digits}f}"
-    return f"{value:.{digits - 1}e}"
+    return f"{value:.{digits}f}" if value == 0 or 1e-3 <= abs(value) < 1e5 else f"{value:.{digits - 1}e}"
 
 
 def written(value: Any, form: str = "") -> str:

@@ -197,6 +197,4 @@ def _shown(table: Table, columns: dict[str, int]) -> str | None:
     # along a straight way the distance to the side stays, too, so that the one ahead changes by far the most
     optical = ahead[2] and (y < _STAYS * min(x, z) or max(x, y) < _STAYS * z)
     robot = z < _STAYS * min(x, y) or (ahead[0] and max(y, z) < _STAYS * x)
-    if optical == robot:
-        return None
-    return "optical" if optical else "forward-left"
+    return None if optical == robot else "optical" if optical else "forward-left"

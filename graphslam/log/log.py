@@ -307,9 +307,7 @@ class Log:
     @property
     def covered(self) -> np.ndarray:
         """The poses whose true position is known, (T+1,) bool."""
-        if self.true_poses is None:
-            return np.zeros(self.num_poses, dtype=bool)
-        return np.isfinite(self.true_poses[:, 0])
+        return np.zeros(self.num_poses, dtype=bool) if self.true_poses is None else np.isfinite(self.true_poses[:, 0])
 
     def at_truth(self, poses: ArrayLike) -> Array:
         """Poses (..., 3) of the robot, as poses of the point to which the ground truth belongs (``truth_offset``)."""

@@ -45,8 +45,7 @@ def against_truth(log: Log) -> Iterator[Finding]:
     ours, theirs = lengths[1]
     if all(max(each) > 1 and not 0.5 < each[0] / max(each[1], 1e-9) < 2 for each in lengths):
         ways = f"the odometry drives {decimals(ours, 1)} m where the truth moves {decimals(theirs, 1)} m"
-        cause = "one may be in another unit"
-        yield Finding("truth scale", f"{ways}; {cause}")
+        yield Finding("truth scale", f"{ways}; one may be in another unit")
     mirrored = _truth_is_mirrored(path, truth, placed)
     headed = np.isfinite(truth[begin, 2]) & np.isfinite(truth[end, 2])
     begin, end = begin[headed], end[headed]
@@ -96,12 +95,10 @@ def _headings(motions: Array, truth: Array, driven: Array, *, mirrored: bool) ->
         yield Finding("truth mirrored", f"{best}: read like this, the robot looks where it drives")
     elif abs(aside) > _ALONG and abs(direction := np.angle(aside)) > np.deg2rad(45):
         away = f"the true headings point {np.rad2deg(abs(direction)):.0f} degrees away from the direction of driving"
-        cause = "they may be in another unit, or count from another axis"
-        yield Finding("truth heading", f"{away}; {cause}")
+        yield Finding("truth heading", f"{away}; they may be in another unit, or count from another axis")
     elif abs(aside) < 1 - _ALONG:
         what = "the true headings have nothing to do with the direction of driving"
-        cause = "they may be in another unit or column"
-        yield Finding("truth heading", f"{what}; {cause}")
+        yield Finding("truth heading", f"{what}; they may be in another unit or column")
 
 
 def _truth_is_mirrored(path: Array, truth: Array, known: np.ndarray) -> bool:
@@ -140,8 +137,7 @@ def against_map(log: Log, found: Distances, *, trusted: bool) -> Iterator[Findin
         which = f"only {len(seen & known)}" if seen & known else "none"
         which = f"{which} of the {len(seen)} landmarks that are seen ({_listed(seen)})"
         among = f"is among the {len(known)} of the true map ({_listed(known)})"
-        cause = "the ids of one of them may be of another list or column"
-        yield Finding("map ids", f"{which} {among}; {cause}")
+        yield Finding("map ids", f"{which} {among}; the ids of one of them may be of another list or column")
         return
     if len(seen) == 1:
         return

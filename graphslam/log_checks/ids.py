@@ -165,8 +165,7 @@ def misread_ids(log: Log, wrong: np.ndarray) -> Iterator[Finding]:
     these = f"at least {count} of {total} sightings have ids"
     reason = "that the sightings of the same place just before and after contradict"
     first = f"the first one landmark {log.landmarks[k]} at step {log.steps[k]}: single ids are probably misread"
-    advice = "a robust kernel or method gnc limits what they do"
-    yield Finding("misread ids", f"{these} {reason}, {first}; {advice}")
+    yield Finding("misread ids", f"{these} {reason}, {first}; a robust kernel or method gnc limits what they do")
 
 
 def ids_of(log: Log) -> Iterator[Finding]:
@@ -186,8 +185,7 @@ def ids_of(log: Log) -> Iterator[Finding]:
         yield Finding("one landmark", message)
     elif len(known) > _FEWEST and np.mean(counts) < 1.5:
         message = f"{len(known)} sightings are of {len(names)} landmarks, so that nearly each is seen once"
-        cause = "the ids may be a running number"
-        yield Finding("ids jump", f"{message}; {cause}")
+        yield Finding("ids jump", f"{message}; the ids may be a running number")
     order = np.lexsort((*log.sightings.T[::-1], log.landmarks, log.steps))
     steps, ids, ranges = log.steps[order], log.landmarks[order], log.sightings[order, 0]
     twice = (np.diff(steps) == 0) & (np.diff(ids) == 0)
@@ -236,12 +234,9 @@ def changed_ids(log: Log, distances: Distances, *, trusted: bool, wrong: np.ndar
     for change in (_in_one_place(log), _by_truth(known) if trusted else None, _by_distances(distances)):
         if change is not None:
             step, evidence = change
-            when = f"step {step}"
-            if log.times is not None:
-                when = f"{log.times[step] - log.start_time:.1f} s after the start"
+            when = f"step {step}" if log.times is None else f"{log.times[step] - log.start_time:.1f} s after the start"
             message = f"landmarks have other ids from about {when} on ({evidence})"
-            cause = "a detector may have counted them anew"
-            yield Finding("ids change", f"{message}; {cause}")
+            yield Finding("ids change", f"{message}; a detector may have counted them anew")
             return
 
 

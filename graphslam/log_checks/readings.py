@@ -122,11 +122,9 @@ def readings_of(log: Log) -> Iterator[Finding]:
             "noisy, wheels slip, rows of the odometry have wrong times, or the sightings have other axes",
         )
     elif given > _CONTRADICTION:
-        what = (
-            f"sightings contradict the odometry: over short ways a landmark moves by {given:.0%} of its range (median)"
-        )
-        cause = "ids, clocks, units or axes may be wrong"
-        yield Finding("contradiction", f"{what}; {cause}")
+        moved = f"over short ways a landmark moves by {given:.0%} of its range (median)"
+        text = f"sightings contradict the odometry: {moved}; ids, clocks, units or axes may be wrong"
+        yield Finding("contradiction", text)
 
 
 def _moves_like(log: Log, slower: tuple[float, float]) -> bool:
@@ -333,8 +331,7 @@ def orientations_of(log: Log) -> Iterator[Finding]:
     psi = log.sightings[:, 2]
     if np.ptp(psi) == 0:
         same = f"all orientations are {psi[0] + 0.0:g} rad, so that the sensor probably does not measure them"
-        advice = "leave out their column"
-        yield Finding("orientation", f"{same}: {advice}")
+        yield Finding("orientation", f"{same}: leave out their column")
         return
     theta, phi, psi = pairs.poses[..., 2], pairs.sightings[..., 1], psi[np.stack([pairs.first, pairs.second])]
     given = _change(theta + phi - psi)
