@@ -35,16 +35,7 @@ from typing import Any
 
 import numpy as np
 
-from ..edges import (
-    AnchorEdges,
-    DoubtedEdges,
-    ObservationEdges,
-    PartialEdges,
-    PriorEdges,
-    RelationEdges,
-    RelativePoseEdges,
-    SightingEdges,
-)
+from .. import edges
 from ..engine import engine
 from ..errors import GraphError, quoted
 from ..errors.checks import check_choice
@@ -106,7 +97,7 @@ def odometry(graph: Graph, initialize: str) -> tuple[Array, Array]:
     step, information = np.full((len(graph.steps), 3), np.nan), np.zeros((len(graph.steps), 3, 3))
     step[:1] = 0.0
     for family in graph.families:
-        if isinstance(family, RelativePoseEdges) and not isinstance(family, RelationEdges):
+        if isinstance(family, edges.RelativePoseEdges) and not isinstance(family, edges.RelationEdges):
             # several edges may lead to the next pose; the first in the file is the odometry
             following = np.flatnonzero(family.second == family.first + 1)[::-1]
             step[family.second[following]] = family.measured[following]
@@ -131,7 +122,7 @@ def place_landmarks(graph: Graph, poses: Array) -> Array:
     """
     state = np.concatenate([poses, graph.initial[len(graph.steps) :]])
     for family in graph.families:
-        if isinstance(family, ObservationEdges):
+        if isinstance(family, edges.ObservationEdges):
             d = family.sightings.shape[1]
             y, trust = family.sensor.h_inverse(state[family.first], family.sightings), family.trusted
             columns = [y[:, 0], y[:, 1]] + ([np.cos(y[:, 2]), np.sin(y[:, 2])] if d == 3 else [])
@@ -153,7 +144,7 @@ def _held(graph: Graph, state: Array) -> np.ndarray:
     """
     held = [graph.fixed]
     for family in graph.families:
-        if isinstance(family, (AnchorEdges, PriorEdges)):
+        if isinstance(family, (edges.AnchorEdges, edges.PriorEdges)):
             state[family.nodes] = family.values
             held.append(family.nodes)
     if graph.map is not None:
@@ -219,7 +210,7 @@ def lower_by_turns(graph: Graph, state: Array, limit: float = np.inf) -> tuple[A
 
 def lower_by_halves(graph: Graph, state: Array, limit: float = np.inf) -> tuple[Array | None, int]:
     """The same without random halves of the measurements that may be wrong, until 25 one after the other lead no lower."""
-    doubted = [k for k, family in enumerate(graph.families) if isinstance(family, DoubtedEdges)]
+    doubted = [k for k, family in enumerate(graph.families) if isinstance(family, edges.DoubtedEdges)]
     return _lowered(graph, partial(engine.lowered_by_halves, doubted), state, limit)
 
 
@@ -275,9 +266,9 @@ NOTHING = 1e-4
 FIRST, GROWTH = 10, 1.25
 
 
-def partial_edges(graph: Graph) -> list[PartialEdges]:
+def partial_edges(graph: Graph) -> list[edges.PartialEdges]:
     """The edges of ranges and bearings alone."""
-    return [family for family in graph.families if isinstance(family, PartialEdges)]
+    return [family for family in graph.families if isinstance(family, edges.PartialEdges)]
 
 
 def grown_from_single_numbers(graph: Graph) -> Array:
@@ -289,7 +280,9 @@ def grown_from_single_numbers(graph: Graph) -> Array:
     if not partial_edges(graph):
         raise GraphError("there are no ranges or bearings alone")
     poses, state = len(graph.steps), graph.initial.copy()
-    chains = (family for family in graph.families if type(family) is RelativePoseEdges and family.count == poses - 1)
+    chains = (
+        family for family in graph.families if type(family) is edges.RelativePoseEdges and family.count == poses - 1
+    )
     if (motions := next(chains, None)) is None:
         raise GraphError("ranges and bearings alone need motion edges from every pose to the next")
     placed = set(_seen_whole(graph))
@@ -371,7 +364,7 @@ def _with_places(state: Array, places: dict[int, Array]) -> Array:
 
 def _seen_whole(graph: Graph) -> list[int]:
     """The landmark nodes that have whole sightings, or are given by a map."""
-    seen = [f.second for f in graph.families if isinstance(f, SightingEdges) and hasattr(f, "second")]
+    seen = [f.second for f in graph.families if isinstance(f, edges.SightingEdges) and hasattr(f, "second")]
     return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *seen, graph.mapped])).tolist()
 
 
@@ -449,14 +442,14 @@ def _in_map(graph: Graph, poses: Array) -> Array:
     """Poses (P, 3) as a whole where the map of the graph puts them, if it has one."""
     if graph.map is None:
         return poses
-    family = next(family for family in graph.families if isinstance(family, ObservationEdges))
+    family = next(family for family in graph.families if isinstance(family, edges.ObservationEdges))
     ids = graph.landmark_ids[family.second - len(graph.steps)]
     return registered(poses, family.first, family.sightings, ids, graph.map, family.sensor)
 
 
 def starts_of_auto(graph: Graph) -> tuple[str, ...]:
     """The starts of `AUTO` for the families of a graph: some are for sightings of landmark nodes."""
-    if any(isinstance(family, (ObservationEdges, PartialEdges)) for family in graph.families):
+    if any(isinstance(family, (edges.ObservationEdges, edges.PartialEdges)) for family in graph.families):
         return AUTO
     return AUTO[AUTO.index("rotation-first") :]
 
