@@ -156,9 +156,8 @@ def import_log(source: str | PathLike[str] | None = None, **options: Any) -> Imp
             return replace(found, reason=str(error))
     if not source.is_dir():
         check_unpacked(source, first_bytes(source))
-        raise FormatError(
-            source, None, "this is no bag; give the folder of tables, or the file of each: --odometry .. --sightings .."
-        )
+        message = "this is no bag; give the folder of tables, or the file of each: --odometry .. --sightings .."
+        raise FormatError(source, None, message)
     recipe = _with_places(merged(recipe or recipe_if_any(source / RECIPE), changes), named)
     return _made(Import(source), drive_of(source, recipe), reading, source.resolve().name)
 

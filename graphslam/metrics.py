@@ -222,8 +222,7 @@ def exchanged(
     off = transform(alignment, _positions(estimate, worst))[:, None] - _positions(truth, worst)
     distance = np.hypot(off[..., 0], off[..., 1])
     better = np.diag(distance)[:, None] > EXCHANGED * distance
-    pairs = np.argwhere(np.triu(better & better.T, 1)).tolist()
-    return [(worst[a], worst[b]) for a, b in pairs]
+    return [(worst[a], worst[b]) for a, b in np.argwhere(np.triu(better & better.T, 1)).tolist()]
 
 
 def landmark_rmse(

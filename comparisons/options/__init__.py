@@ -414,9 +414,8 @@ class SimulationOptions(Options):
         faults = {name: self.components[name][0](**given) for name in kinds if (given := self.of_component(name))}
         noise_given = {name for model in MODELS for name in self.of_component(model)} - {*SensorModel.GEOMETRY}
         if not world.clean and noise_given:
-            raise OptionError(
-                "the noise models have an effect in clean worlds only: add --clean, or set faults instead"
-            )
+            message = "the noise models have an effect in clean worlds only: add --clean, or set faults instead"
+            raise OptionError(message)
         return {"world": world, "seed": self.seed, **noise, **faults}
 
 

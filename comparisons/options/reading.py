@@ -269,9 +269,8 @@ def read_log(log: LogOrPath | Sequence[LogOrPath], options: ReadingOptions) -> t
         data = log
         for name in OF_FILES:
             if (value := getattr(options, name)) is not None and value is not False:
-                raise OptionError(
-                    f"{name} applies when a file is read, and {quoted(log.name)} is a Log that has been read"
-                )
+                message = f"{name} applies when a file is read, and {quoted(log.name)} is a Log that has been read"
+                raise OptionError(message)
         if options.keep_every is not None:
             data = with_poses_every(data, options.keep_every)
     elif log is not None and not isinstance(log, (str, PathLike)):

@@ -307,9 +307,8 @@ def _alone(path: Path) -> Iterator[None]:
     try:
         lock.acquire(timeout=0)
     except Timeout:
-        raise FormatError(
-            path, None, "another study is at work on this database; wait for it, or name another database"
-        ) from None
+        message = "another study is at work on this database; wait for it, or name another database"
+        raise FormatError(path, None, message) from None
     except OSError as error:
         raise FormatError(path, None, f"cannot write into {path.parent}: {error.strerror}") from None
     try:

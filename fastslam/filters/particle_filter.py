@@ -112,9 +112,8 @@ class ParticleFilter(ABC):
             check_type(kind, **{name: value})
         kind_of_filter = type(self).__name__
         if given := {"landmarks", "landmark_map"}.intersection(keywords):
-            raise OptionError(
-                f"{kind_of_filter} has no option {quoted(min(given))}; a map of landmarks is given as map"
-            )
+            message = f"{kind_of_filter} has no option {quoted(min(given))}; a map of landmarks is given as map"
+            raise OptionError(message)
         check_known(kind_of_filter, keywords, [field.name for field in fields(FilterOptions)])
         self.options = replace(options or FilterOptions(), **keywords).for_ids(log is None or log.identified)
         self._check_options()

@@ -202,9 +202,8 @@ def priors_of_map(
 
 def _check_log(log: Log, with_motion: bool) -> None:
     if len(log.steps) == 0 and not any(map(len, log.measured.values())):
-        raise GraphError(
-            f"{log.name} has no sightings at all, and no relations or positions: nothing corrects dead reckoning"
-        )
+        message = f"{log.name} has no sightings at all, and no relations or positions: nothing corrects dead reckoning"
+        raise GraphError(message)
     if not log.identified:
         raise GraphError(
             f"{log.name} has {np.sum(log.landmarks == UNIDENTIFIED)} of {len(log.steps)} sightings without an id, and a "
@@ -229,8 +228,7 @@ def _tied_steps(log: Log, with_motion: bool) -> tuple[np.ndarray, tuple[str, ...
     steps = np.unique(np.concatenate([seen[often[seen[:, 0]], 1], *ends]))
     if not len(steps):
         raise GraphError(f"{log.name} has no landmark that was seen twice, so there are no virtual-motion edges")
-    left_out = np.setdiff1d(np.arange(log.num_poses), steps).tolist()
-    if left_out:
+    if left_out := np.setdiff1d(np.arange(log.num_poses), steps).tolist():
         notes.append(f"{listed('pose', left_out)} shared no sighting with any other and stayed out of the graph")
     return steps, tuple(notes)
 
@@ -317,9 +315,8 @@ def with_dimensions(log: Log, dimensions: int | None) -> Log:
     if dimensions is not None and (not isinstance(dimensions, Integral) or dimensions not in (2, 3)):
         raise OptionError(f"dimensions must be 2 or 3, not {quoted(dimensions)}")
     if dimensions == 3 and not log.has_orientation:
-        raise GraphError(
-            f"{log.name} has sightings without psi, but 3-D sensor values were asked for; use dimensions=2"
-        )
+        message = f"{log.name} has sightings without psi, but 3-D sensor values were asked for; use dimensions=2"
+        raise GraphError(message)
     return log.without_orientation() if dimensions == 2 and log.has_orientation else log
 
 

@@ -266,8 +266,7 @@ def _relative(family: EdgeFamily, state: Array) -> EdgeFamily:
         relative = kind(seen.first, seen.second, seen.relative.measured, seen.relative.information)
         return _weighted(relative, family, state)
     if isinstance(family, RelationEdges):
-        edges = RelativePoseEdges(family.first, family.second, family.measured, family.weighed)
-        return _weighted(edges, family, state)
+        return _weighted(RelativePoseEdges(family.first, family.second, family.measured, family.weighed), family, state)
     if isinstance(family, PartialEdges | PositionEdges):
         weights = family.kernel_weights(state)[:, None, None]
         return replace(family, information=family.weighed * weights, kernel=None, trust=None)

@@ -62,9 +62,8 @@ def rotation_first(graph: Graph) -> Array:
         raise GraphError(f"initialize='rotation-first': {error}") from None
     if unlisted >= 0:
         related = graph.names(np.array([unlisted]))
-        raise GraphError(
-            f"headings() or positions() of a family relates {related} to a node that shares no group of cliques()"
-        )
+        message = f"headings() or positions() of a family relates {related} to a node that shares no group of cliques()"
+        raise GraphError(message)
     if unturned:
         nodes = graph.names(np.array(unturned))
         raise GraphError(f"initialize='rotation-first' needs edges that measure relative headings; {nodes} have none")

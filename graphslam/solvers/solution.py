@@ -216,9 +216,8 @@ class Solution:
             of_landmarks = [self.landmark_covariances[id] for id in ids]
             return shaped(poses, landmarks, [self._uncertainty.of_poses[node] for node in nodes], of_landmarks)
         if ids and not len(graph.landmark_ids):
-            raise OptionError(
-                f"landmark {ids[0]} is no node of this graph; edges='landmark+motion' makes nodes of landmarks"
-            )
+            message = f"landmark {ids[0]} is no node of this graph; edges='landmark+motion' makes nodes of landmarks"
+            raise OptionError(message)
         sizes = [3] * len(nodes) + [d] * len(ids)
         nodes += [first + int(np.searchsorted(graph.landmark_ids, id)) for id in ids]
         different, places = np.unique(nodes, return_inverse=True)

@@ -112,9 +112,8 @@ def check_options(
     """Raise `OptionError` if an option of `solve` has an impossible value."""
     check_choice("method", method, (*METHODS, GNC))
     if not isinstance(initialize, str):
-        raise OptionError(
-            "initialize names a start; for your own values: solve(graph.with_initial(values), initialize='given')"
-        )
+        message = "initialize names a start; for your own values: solve(graph.with_initial(values), initialize='given')"
+        raise OptionError(message)
     check_choice("initialize", initialize, INITIALIZE)
     check_choice("range_noise", range_noise, RANGE_NOISES)
     check_positive(tolerance=tolerance)

@@ -78,9 +78,8 @@ def write_report(
     if not isinstance(comparison, Comparison):
         comparison = run(comparison, **options)
     elif options:
-        raise OptionError(
-            f"the comparison has been run: it takes no options ({', '.join(options)}); give the log instead"
-        )
+        message = f"the comparison has been run: it takes no options ({', '.join(options)}); give the log instead"
+        raise OptionError(message)
     write_text(path, page_of(comparison, language))
 
 
