@@ -125,9 +125,8 @@ class Sightings:
         """
         indices = (np.ascontiguousarray(numbers, dtype=np.int64) for numbers in (self.first, self.marks))
         sightings = np.hstack([self.y, self.C, weights, self.z, self.q])
-        return engine.GibbsProblem(
-            np.hstack([motions, information]), *indices, sightings, len(self.ids), self.columns, exact, degrees
-        )
+        moved = np.hstack([motions, information])
+        return engine.GibbsProblem(moved, *indices, sightings, len(self.ids), self.columns, exact, degrees)
 
     def linearised_at(self, trajectories: Array, maps: Array) -> Self:
         """Return the same problem, linearised at the mean relative places of samples (S, T + 1, 3) and (S, J, 3)."""

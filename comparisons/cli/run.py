@@ -264,9 +264,8 @@ def consistency(output: Output, *, options: declared.ConsistencyOptions, drawing
         outcome = study_consistency(progress=lambda _: advance(1), **options.keywords())
     output.result(outcome, drawing.figure)
     if options.noise == ConsistencyOptions().noise:
-        output.hint(
-            f"The effect of the models' curvature: {command('consistency', options=replace(options, noise=0.5))}"
-        )
+        noisier = command("consistency", options=replace(options, noise=0.5))
+        output.hint(f"The effect of the models' curvature: {noisier}")
 
 
 def sweep(
@@ -287,9 +286,8 @@ def sweep(
     from ..studies.sweep import sweep as execute
 
     with output.bar("runs") as advance:
-        outcome = execute(
-            study, progress=_progress_of_study(advance, output), announce=output.progress, **options.keywords()
-        )
+        report = _progress_of_study(advance, output)
+        outcome = execute(study, progress=report, announce=output.progress, **options.keywords())
     output.say(
         f"{outcome.database}: {outcome.before + outcome.ran} of {outcome.planned} runs, {outcome.ran} done now"
         + (f", {outcome.failed} of these failed." if outcome.failed else ".")

@@ -123,9 +123,8 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     _no_map("textbook", options)
     check_one_drive("textbook", log)
     defaults = {each: getattr(GraphOptions, each) for each in _GRAPH if each != "edges"}
-    options, notes = _fixed(
-        options, "it is the lectures' program as it stands", **defaults | {"frame": "world", "kernel": "none"}
-    )
+    defaults |= {"frame": "world", "kernel": "none"}
+    options, notes = _fixed(options, "it is the lectures' program as it stands", **defaults)
     edges = options.edges
     if edges not in graphslam.textbook.THRESHOLDS:
         edges = "virtual" if log.controls is None else "virtual+motion"
@@ -430,9 +429,8 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
         if parameters.doubt:
             notes.append(parameters.doubt)
         if options.weight == "pairs" and not str(options.edges).startswith("landmark"):
-            notes.append(
-                "pairs weigh sightings too much, so these standard deviations are too small; see --weight marginal"
-            )
+            note = "pairs weigh sightings too much, so these standard deviations are too small; see --weight marginal"
+            notes.append(note)
     if graph is not None and values["options"].get("range_noise") == "measured":
         notes += [note for note in shortened_ranges(graph) if note not in notes]
     if graph is not None and (kernel := graph.verdict[0]) is not None and len(log.steps):

@@ -236,9 +236,8 @@ def sightings_text(log: Log, result: EstimatorResult) -> str:
     sightings = [[*z, *[""] * (3 - len(z))] for z in log.sightings.tolist()]
     columns = zip(log.steps.tolist(), sightings, classes, given, status_of(result).tolist(), true)
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(
-        [SIGHTING_COLUMNS, *([step, *z, *rest] for step, z, *rest in columns)]
-    )
+    rows = ([step, *z, *rest] for step, z, *rest in columns)
+    csv.writer(text, lineterminator="\n").writerows([SIGHTING_COLUMNS, *rows])
     return text.getvalue()
 
 

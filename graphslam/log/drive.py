@@ -199,9 +199,8 @@ class Reader:
             strict=self.options.strict, source=self.table.source,
         )  # fmt: skip
         if not kept.all():
-            notes += self._without_orientation(
-                ~kept & ~np.any([each.rows for each in faults if each is not of_psi], axis=0)
-            )
+            others = np.any([each.rows for each in faults if each is not of_psi], axis=0)
+            notes += self._without_orientation(~kept & ~others)
             self.table = Kept(self.table, np.flatnonzero(kept), notes)
         return self.table
 
@@ -289,10 +288,8 @@ class Reader:
 
     def answered(self, **checks: str) -> tuple[cells.Doubt, ...]:
         """The checks {role: name} of units that the options state: such a doubt has no sentence."""
-        stated = (
-            check for role, check in checks.items() if self.has(role) and self.options.unit(MEASURES[role], self.kind)
-        )
-        return tuple((check, "") for check in stated)
+        found = {role: check for role, check in checks.items() if self.has(role)}
+        return tuple((check, "") for role, check in found.items() if self.options.unit(MEASURES[role], self.kind))
 
     def refuse(
         self, role: str, values: Array, limit: float, message: str, measure: str = "", *, also: str = ""

@@ -371,9 +371,8 @@ def _in_one_place(log: Log) -> tuple[int, str] | None:
     if (number >= _FEWEST_CHANGED and number > _MORE * kept) or (
         number == _FEWEST_CHANGED - 1 and not kept and not any(far) and again.all()
     ):
-        return int(seen.steps[changed[0]]), ", ".join(
-            f"{ids[partner[k]]} becomes {ids[k]}" for k in changed[:3].tolist()
-        )
+        renamed = ", ".join(f"{ids[partner[k]]} becomes {ids[k]}" for k in changed[:3].tolist())
+        return int(seen.steps[changed[0]]), renamed
     return None
 
 

@@ -441,9 +441,8 @@ def without_slips_of(solution: Solution, again: Callable[[Graph], Solution] | No
         )
     except (FactorizationError, np.linalg.LinAlgError):
         return solution, ()
-    sentences = [slip.sentence(log) for slip in slips] + (
-        [left.sentence(log, corrected=False)] if left is not None else []
-    )
+    sentences = [slip.sentence(log) for slip in slips]
+    sentences += [left.sentence(log, corrected=False)] if left is not None else []
     return solution, tuple(sentences)
 
 

@@ -161,9 +161,8 @@ def sequential_start(graph: Graph, poses: int) -> Array:
         GraphError: no chain of motion edges leads through all poses, or a family of edges cannot be divided.
     """
     parents, offsets = _tree(graph)
-    state = engine.grow(
-        graph.objective, graph.initial, len(graph.steps), poses, parents, offsets, transform.first_seen(graph)
-    )
+    seen = transform.first_seen(graph)
+    state = engine.grow(graph.objective, graph.initial, len(graph.steps), poses, parents, offsets, seen)
     if state is None:
         # dividing them in Python, too, names the family
         transform.first_poses(graph, 1)
@@ -279,9 +278,7 @@ def grown_from_single_numbers(graph: Graph) -> Array:
     if not partial_edges(graph):
         raise GraphError("there are no ranges or bearings alone")
     poses, state = len(graph.steps), graph.initial.copy()
-    chains = (
-        family for family in graph.families if type(family) is edges.RelativePoseEdges and family.count == poses - 1
-    )
+    chains = (f for f in graph.families if type(f) is edges.RelativePoseEdges and f.count == poses - 1)
     if (motions := next(chains, None)) is None:
         raise GraphError("ranges and bearings alone need motion edges from every pose to the next")
     placed = set(_seen_whole(graph))
