@@ -45,7 +45,8 @@ def against_truth(log: Log) -> Iterator[Finding]:
     ours, theirs = lengths[1]
     if all(max(each) > 1 and not 0.5 < each[0] / max(each[1], 1e-9) < 2 for each in lengths):
         ways = f"the odometry drives {decimals(ours, 1)} m where the truth moves {decimals(theirs, 1)} m"
-        yield Finding("truth scale", f"{ways}; one may be in another unit")
+        cause = "one may be in another unit"
+        yield Finding("truth scale", f"{ways}; {cause}")
     mirrored = _truth_is_mirrored(path, truth, placed)
     headed = np.isfinite(truth[begin, 2]) & np.isfinite(truth[end, 2])
     begin, end = begin[headed], end[headed]
@@ -95,10 +96,12 @@ def _headings(motions: Array, truth: Array, driven: Array, *, mirrored: bool) ->
         yield Finding("truth mirrored", f"{best}: read like this, the robot looks where it drives")
     elif abs(aside) > _ALONG and abs(direction := np.angle(aside)) > np.deg2rad(45):
         away = f"the true headings point {np.rad2deg(abs(direction)):.0f} degrees away from the direction of driving"
-        yield Finding("truth heading", f"{away}; they may be in another unit, or count from another axis")
+        cause = "they may be in another unit, or count from another axis"
+        yield Finding("truth heading", f"{away}; {cause}")
     elif abs(aside) < 1 - _ALONG:
         what = "the true headings have nothing to do with the direction of driving"
-        yield Finding("truth heading", f"{what}; they may be in another unit or column")
+        cause = "they may be in another unit or column"
+        yield Finding("truth heading", f"{what}; {cause}")
 
 
 def _truth_is_mirrored(path: Array, truth: Array, known: np.ndarray) -> bool:
@@ -137,7 +140,8 @@ def against_map(log: Log, found: Distances, *, trusted: bool) -> Iterator[Findin
         which = f"only {len(seen & known)}" if seen & known else "none"
         which = f"{which} of the {len(seen)} landmarks that are seen ({_listed(seen)})"
         among = f"is among the {len(known)} of the true map ({_listed(known)})"
-        yield Finding("map ids", f"{which} {among}; the ids of one of them may be of another list or column")
+        cause = "the ids of one of them may be of another list or column"
+        yield Finding("map ids", f"{which} {among}; {cause}")
         return
     if len(seen) == 1:
         return

@@ -165,7 +165,8 @@ def misread_ids(log: Log, wrong: np.ndarray) -> Iterator[Finding]:
     these = f"at least {count} of {total} sightings have ids"
     reason = "that the sightings of the same place just before and after contradict"
     first = f"the first one landmark {log.landmarks[k]} at step {log.steps[k]}: single ids are probably misread"
-    yield Finding("misread ids", f"{these} {reason}, {first}; a robust kernel or method gnc limits what they do")
+    advice = "a robust kernel or method gnc limits what they do"
+    yield Finding("misread ids", f"{these} {reason}, {first}; {advice}")
 
 
 def ids_of(log: Log) -> Iterator[Finding]:
@@ -185,7 +186,8 @@ def ids_of(log: Log) -> Iterator[Finding]:
         yield Finding("one landmark", message)
     elif len(known) > _FEWEST and np.mean(counts) < 1.5:
         message = f"{len(known)} sightings are of {len(names)} landmarks, so that nearly each is seen once"
-        yield Finding("ids jump", f"{message}; the ids may be a running number")
+        cause = "the ids may be a running number"
+        yield Finding("ids jump", f"{message}; {cause}")
     order = np.lexsort((*log.sightings.T[::-1], log.landmarks, log.steps))
     steps, ids, ranges = log.steps[order], log.landmarks[order], log.sightings[order, 0]
     twice = (np.diff(steps) == 0) & (np.diff(ids) == 0)
@@ -236,7 +238,8 @@ def changed_ids(log: Log, distances: Distances, *, trusted: bool, wrong: np.ndar
             step, evidence = change
             when = f"step {step}" if log.times is None else f"{log.times[step] - log.start_time:.1f} s after the start"
             message = f"landmarks have other ids from about {when} on ({evidence})"
-            yield Finding("ids change", f"{message}; a detector may have counted them anew")
+            cause = "a detector may have counted them anew"
+            yield Finding("ids change", f"{message}; {cause}")
             return
 
 

@@ -122,9 +122,11 @@ def readings_of(log: Log) -> Iterator[Finding]:
             "noisy, wheels slip, rows of the odometry have wrong times, or the sightings have other axes",
         )
     elif given > _CONTRADICTION:
-        moved = f"over short ways a landmark moves by {given:.0%} of its range (median)"
-        text = f"sightings contradict the odometry: {moved}; ids, clocks, units or axes may be wrong"
-        yield Finding("contradiction", text)
+        what = (
+            f"sightings contradict the odometry: over short ways a landmark moves by {given:.0%} of its range (median)"
+        )
+        cause = "ids, clocks, units or axes may be wrong"
+        yield Finding("contradiction", f"{what}; {cause}")
 
 
 def _moves_like(log: Log, slower: tuple[float, float]) -> bool:
@@ -331,7 +333,8 @@ def orientations_of(log: Log) -> Iterator[Finding]:
     psi = log.sightings[:, 2]
     if np.ptp(psi) == 0:
         same = f"all orientations are {psi[0] + 0.0:g} rad, so that the sensor probably does not measure them"
-        yield Finding("orientation", f"{same}: leave out their column")
+        advice = "leave out their column"
+        yield Finding("orientation", f"{same}: {advice}")
         return
     theta, phi, psi = pairs.poses[..., 2], pairs.sightings[..., 1], psi[np.stack([pairs.first, pairs.second])]
     given = _change(theta + phi - psi)
