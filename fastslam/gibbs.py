@@ -22,8 +22,7 @@ from numpy.typing import ArrayLike
 from graphslam import Cauchy, Graph, GraphError, MotionModel, SensorModel, solve
 from graphslam.edges.relative import DoubtedPointEdges, RelationEdges, RelativePoseEdges
 from graphslam.engine import engine
-from graphslam.errors import LogError, OptionError, quoted
-from graphslam.errors.checks import check_known
+from graphslam.errors import LogError, OptionError, checks, quoted
 from graphslam.linear.cholesky import FactorizationError
 from graphslam.log import Log, check_is_log
 from graphslam.se2 import Array, difference, wrap
@@ -307,7 +306,7 @@ class ParticleGibbs:
     ) -> None:  # fmt: skip
         check_is_log(log)
         log.warn_of_unused("particle Gibbs")
-        check_known("ParticleGibbs", keywords, [field.name for field in fields(GibbsOptions)])
+        checks.check_known("ParticleGibbs", keywords, [field.name for field in fields(GibbsOptions)])
         self.options = replace(options or GibbsOptions(), **keywords)
         if not log.identified:
             raise OptionError(

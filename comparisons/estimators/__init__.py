@@ -18,8 +18,7 @@ import fastslam
 import graphslam
 from fastslam.options import LOCALISATION, check_one_drive
 from graphslam import Graph, GraphError, Log, MotionModel, OptionError, SensorModel, SlamError, Solution, simulate
-from graphslam.errors import quoted
-from graphslam.errors.checks import suggestion
+from graphslam.errors import checks, quoted
 from graphslam.graph.defaults import edges_for_map, suitable_edges, suitable_for_isam2, suitable_kernel
 from graphslam.log import UNIDENTIFIED
 from graphslam.log.measurements import MEASURED
@@ -394,7 +393,7 @@ def check_estimators(names: Any) -> tuple[str, ...]:
     known = ", ".join(ESTIMATORS)
     for name in names:
         if name not in ESTIMATORS:
-            unknown = f"estimators: there is no estimator {quoted(name)}{suggestion(name, ESTIMATORS)}"
+            unknown = f"estimators: there is no estimator {quoted(name)}{checks.suggestion(name, ESTIMATORS)}"
             raise OptionError(f"{unknown}; the estimators are {known}")
     if not names:
         raise OptionError(f"estimators: name at least one of {known}")

@@ -35,8 +35,7 @@ from typing import Any
 import numpy as np
 
 from ..edges import PriorEdges, Way
-from ..errors import GraphError, OptionError, quoted
-from ..errors.checks import listed
+from ..errors import GraphError, OptionError, checks, quoted
 from ..graph import Graph
 from ..log import Log
 from ..maps.landmark_map import LandmarkMap, as_map
@@ -125,7 +124,7 @@ class MapStates:
         agree = len(self.of(AGREES))
         parts = [f"{agree} landmarks agree with the map" if agree != 1 else "1 landmark agrees with the map"]
         parts += [
-            f"{listed('landmark', ids, most=8)} {verbs[len(ids) > 1]}"
+            f"{checks.listed('landmark', ids, most=8)} {verbs[len(ids) > 1]}"
             for name, verbs in {
                 MOVED: ("has moved", "have moved"),
                 VANISHED: ("has vanished", "have vanished"),

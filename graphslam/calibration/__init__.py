@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..association.associate import robot_of
-from ..errors import LogError
-from ..errors.checks import array_of, check_choice, check_not_negative
+from ..errors import LogError, checks
 from ..identification.corrections import without_biases
 from ..identification.declared import CORRECTIONS, PLACE, of_sensor_alone
 from ..identification.odometry import OF_SENSOR, with_variances
@@ -213,9 +212,9 @@ def calibrate(
     for each in logs:
         check_is_log(each)
     if degrees is not None:
-        check_not_negative(degrees=degrees)
-        degrees = float(array_of("degrees", degrees))
-    check_choice("source", source, SOURCES)
+        checks.check_not_negative(degrees=degrees)
+        degrees = float(checks.array_of("degrees", degrees))
+    checks.check_choice("source", source, SOURCES)
     motion, sensor = logs[0].noise_models(motion, sensor)
     moved = sum(map(true_motions, logs))
     if auto := source == "auto":

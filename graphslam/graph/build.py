@@ -27,8 +27,7 @@ from ..edges import (
     motion_edges,
 )
 from ..edges.robust import Kernel, kernel_of
-from ..errors import GraphError, OptionError, quoted
-from ..errors.checks import array_of, listed
+from ..errors import GraphError, OptionError, checks, quoted
 from ..identification.declared import Parameters
 from ..identification.known import AUTO, BOOK, enough_ids, noise_of, unknown_noise
 from ..identification.result import RobotEstimate
@@ -221,7 +220,7 @@ def _tied_steps(log: Log, with_motion: bool) -> tuple[np.ndarray, tuple[str, ...
     often = np.bincount(seen[:, 0]) > 1
     notes = []
     if not np.all(often):
-        notes.append(f"no edge comes from {listed('landmark', ids[~often].tolist())}, seen in one step only")
+        notes.append(f"no edge comes from {checks.listed('landmark', ids[~often].tolist())}, seen in one step only")
     if with_motion:
         return np.arange(log.num_poses), tuple(notes)
     ends = [getattr(each, end) for each in log.measured.values() for end in each.ENDS]
@@ -229,7 +228,7 @@ def _tied_steps(log: Log, with_motion: bool) -> tuple[np.ndarray, tuple[str, ...
     if not len(steps):
         raise GraphError(f"{log.name} has no landmark that was seen twice, so there are no virtual-motion edges")
     if left_out := np.setdiff1d(np.arange(log.num_poses), steps).tolist():
-        notes.append(f"{listed('pose', left_out)} shared no sighting with any other and stayed out of the graph")
+        notes.append(f"{checks.listed('pose', left_out)} shared no sighting with any other and stayed out of the graph")
     return steps, tuple(notes)
 
 
@@ -265,7 +264,7 @@ def node_names(nodes: np.ndarray, pose_ids: np.ndarray, landmark_ids: np.ndarray
     """The names of nodes in a sentence: 'poses 3 and 4', 'landmark 7', 'pose 2 and landmark 5'."""
     pose = nodes < len(pose_ids)
     named = (("pose", pose_ids[nodes[pose]]), ("landmark", landmark_ids[nodes[~pose] - len(pose_ids)]))
-    return " and ".join(listed(noun, ids.tolist()) for noun, ids in named if len(ids))
+    return " and ".join(checks.listed(noun, ids.tolist()) for noun, ids in named if len(ids))
 
 
 def pieces(num_nodes: int, first: Sequence[np.ndarray], second: Sequence[np.ndarray]) -> np.ndarray:
@@ -292,7 +291,7 @@ def _check_determined(
     loose = steps[label[:num_nodes] != label[0]].tolist()
     if loose:
         raise GraphError(
-            f"the graph falls into several pieces: nothing ties {listed('pose', loose)} to pose {steps[0]}; "
+            f"the graph falls into several pieces: nothing ties {checks.listed('pose', loose)} to pose {steps[0]}; "
             "use edges='virtual+motion', or a log in which they share a landmark"
         )
     if virtual.oriented:
@@ -305,7 +304,7 @@ def _check_determined(
     if loose:
         share = "shares" if len(loose) == 1 else "share"
         raise GraphError(
-            f"without psi one landmark does not fix a pose: {listed('pose', loose)} {share} only one with the rest; "
+            f"without psi one landmark does not fix a pose: {checks.listed('pose', loose)} {share} only one with the rest; "
             "use edges='virtual+motion' or a sensor with psi"
         )
 
@@ -353,10 +352,10 @@ def estimate_map(
         own_kernel, own_trust = graph.verdict
         sensor, kernel, trust = sensor or graph.sensor, kernel or own_kernel, own_trust if trust is None else trust
     sensor = sensor or log.sensor or SensorModel()
-    trajectory = array_of("poses", getattr(poses, "poses", poses))
+    trajectory = checks.array_of("poses", getattr(poses, "poses", poses))
     if trajectory.shape != (log.num_poses, 3):
         raise OptionError(f"poses must have shape ({log.num_poses}, 3) for this log, not {trajectory.shape}")
-    trusted = np.ones(len(log.steps)) if trust is None else np.nan_to_num(array_of("trust", trust), nan=1.0)
+    trusted = np.ones(len(log.steps)) if trust is None else np.nan_to_num(checks.array_of("trust", trust), nan=1.0)
     if trusted.shape != log.steps.shape or np.any((trusted < 0) | (trusted > 1)):
         raise OptionError(f"trust must be {len(log.steps)} numbers from 0 to 1, one for each sighting of this log")
     known = np.flatnonzero(log.landmarks != UNIDENTIFIED)

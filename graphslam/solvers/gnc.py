@@ -30,8 +30,7 @@ import numpy as np
 from .. import edges
 from ..edges.robust import Cauchy
 from ..engine import engine
-from ..errors import GraphError, OptionError
-from ..errors.checks import singular
+from ..errors import GraphError, OptionError, checks
 from ..graph import Graph
 from ..graph.transform import poses_only, with_landmark_nodes
 from ..se2 import Array
@@ -82,7 +81,7 @@ def solve_gnc(graph: Graph, initialize: str, tolerance: float, *, max_rounds: in
     found = _trust_by_kind(weighted)
     known = {kind: each for kind, each in found.items() if len(each)}
     which = " and ".join(f"{np.count_nonzero(each < REJECTED)} of {len(each)} {kind}" for kind, each in known.items())
-    note = singular(f"graduated non-convexity rejected {which} in {best.rounds} rounds")
+    note = checks.singular(f"graduated non-convexity rejected {which} in {best.rounds} rounds")
     in_sightings: Array | None = found.pop("sightings", None)
     if graph.log is not None and in_sightings is not None:
         of_edges, in_sightings = in_sightings, np.full(len(graph.log.steps), np.nan)

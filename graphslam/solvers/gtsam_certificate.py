@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import edges
-from ..errors import GraphError, OptionError, quoted
-from ..errors.checks import array_of
+from ..errors import GraphError, OptionError, checks, quoted
 from ..factors.description import FactorDescription, describe, key_name
 from ..graph import Graph
 from ..se2 import Array
@@ -212,7 +211,7 @@ def certify(graph: Graph | gtsam.NonlinearFactorGraph, solution: Solution | Arra
         if solution.graph is graph:
             return solution.certificate
         solution = solution.state
-    state = array_of("the state", solution)
+    state = checks.array_of("the state", solution)
     if state.shape != graph.initial.shape and state.shape == graph.trajectory.shape and not len(graph.landmark_ids):
         state = state[graph.steps]
     if state.shape != graph.initial.shape:

@@ -15,8 +15,7 @@ import numpy as np
 from .. import edges
 from .. import factors as factor_types
 from ..edges.robust import Kernel
-from ..errors import GraphError
-from ..errors.checks import check_choice
+from ..errors import GraphError, checks
 from ..graph import Graph
 from ..graph.build import node_names
 from ..se2 import Array
@@ -42,7 +41,7 @@ def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fa
     Raises:
         GraphError: an edge has information without an inverse.
     """
-    check_choice("factors", factors, FACTORS)
+    checks.check_choice("factors", factors, FACTORS)
     for family in graph.families:
         if isinstance(family, edges.RelativePoseEdges | edges.RelativePointEdges):
             _check_information(graph, family)

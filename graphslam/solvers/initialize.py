@@ -37,8 +37,7 @@ import numpy as np
 
 from .. import edges
 from ..engine import engine
-from ..errors import GraphError, quoted
-from ..errors.checks import check_choice
+from ..errors import GraphError, checks, quoted
 from ..graph import Graph, transform
 from ..graph.defaults import into_world
 from ..graph.trilateration import Places, other_places, places_of
@@ -396,7 +395,7 @@ def starting_state(graph: Graph, initialize: str) -> Array:
         GraphError: the edges do not allow this start.
         OptionError: there is no such start.
     """
-    check_choice("initialize", initialize, _STARTS)
+    checks.check_choice("initialize", initialize, _STARTS)
     easier = transform.without_positions(graph)
     if easier is graph or initialize == "given":
         return _STARTS[initialize](graph)

@@ -36,8 +36,7 @@ from ..edges import (
 )
 from ..edges import motion_edges as make_motion_edges
 from ..engine import engine
-from ..errors import GraphError
-from ..errors.checks import first
+from ..errors import GraphError, checks
 from ..graph import Graph
 from ..identification import corrections
 from ..identification.declared import PARAMETERS, Parameters
@@ -153,7 +152,7 @@ def negative_information(graph: Graph) -> str | None:
         if not isinstance(W, np.ndarray) or W.ndim != 3 or W.shape[1] != W.shape[2] or not np.isfinite(W).all():
             continue
         smallest = np.linalg.eigvalsh((W + np.swapaxes(W, 1, 2)) / 2)[:, 0]
-        if (k := first(smallest < -1e-9 * np.abs(W).max(axis=(1, 2)))) is not None:
+        if (k := checks.first(smallest < -1e-9 * np.abs(W).max(axis=(1, 2)))) is not None:
             return (
                 f"the information of edge {k} of {type(family).__name__} is not positive semi-definite (eigenvalue "
                 f"{smallest[k]:.3g}), so that J has no lower bound; information is the inverse of a covariance"

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..edges import AnchorEdges, LandmarkSightings, SightingEdges
-from ..errors import OptionError, quoted
-from ..errors.checks import make_read_only, singular
+from ..errors import OptionError, checks, quoted
 from ..graph import Graph
 from ..graph.transform import with_landmark_nodes
 from ..identification.declared import ParameterEstimate
@@ -157,7 +156,7 @@ class Solution:
     scan_errors: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
     def __post_init__(self) -> None:
-        make_read_only(self, "poses", "estimated", "costs", "step_norms", "state", "trust", "scan_errors")
+        checks.make_read_only(self, "poses", "estimated", "costs", "step_norms", "state", "trust", "scan_errors")
         for place in self.landmarks.values():
             place.flags.writeable = False
 
@@ -166,7 +165,7 @@ class Solution:
         outcome = "converged" if self.converged else "not converged"
         if self.iterations:
             outcome += f" after {self.iterations} iterations"
-        return singular(
+        return checks.singular(
             f"<Solution by {self.solver}: {outcome}, J = {self.cost:.6g}, {len(self.poses)} poses, "
             f"{len(self.landmarks)} landmarks, {self.seconds:.3g} s>"
         )
