@@ -78,9 +78,8 @@ def sentences(verbose: bool, options: Collection[str] | None = None, lang: str |
 
 def _wrapped(text: str) -> str:
     """A sentence in lines of the terminal's width, broken only between words."""
-    return textwrap.fill(
-        text, shutil.get_terminal_size().columns, break_long_words=False, break_on_hyphens=False, subsequent_indent="  "
-    )
+    width = shutil.get_terminal_size().columns
+    return textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False, subsequent_indent="  ")
 
 
 def _spoken(lang: str | None, stream: Any) -> str:
