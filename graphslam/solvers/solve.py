@@ -152,7 +152,8 @@ def solve_many(graphs: Iterable[Graph], *, jobs: int | None = None, **options: A
     """
     known = [name for name in signature(solve).parameters if name not in ("graph", "callback")]
     checks.check_known("solve_many", options, known, f"; it takes jobs and {', '.join(known)}")
-    check_options(**({name: signature(solve).parameters[name].default for name in known} | options))
+    defaults = {name: signature(solve).parameters[name].default for name in known}
+    check_options(**(defaults | options))
     if jobs is not None:
         checks.check_count(jobs=jobs)
     if not isinstance(graphs, Iterable):
