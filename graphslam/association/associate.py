@@ -99,6 +99,8 @@ def verdict(competition: Competition, problem: Problem, leaps: tuple[Leap, ...])
 
 #: a function that finds a start when it is needed
 Begin = Callable[[], Start]
+#: one start or several; None stands for the drive
+Starts = Start | Begin | Sequence[Start | Begin | None] | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -189,7 +191,7 @@ class Association:
 
 def associate_from(
     log: Log, *, motion: MotionModel | None = None, sensor: SensorModel | None = None,
-    options: AssociationOptions | None = None, start: Start | Begin | Sequence[Start | Begin | None] | None = None,
+    options: AssociationOptions | None = None, start: Starts = None,
     estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[str] | None = None, **changes: Any,
 ) -> Association:  # fmt: skip
     """Find out which sightings are of the same landmark, from the log alone.
@@ -248,9 +250,7 @@ def associate_from(
     return _report(recorded, robot, competition, options, missed, leaps, time.perf_counter() - begin)
 
 
-def _starts(
-    log: Log, start: Start | Begin | Sequence[Start | Begin | None] | None, driven: Begin
-) -> list[Start | Begin]:
+def _starts(log: Log, start: Starts, driven: Begin) -> list[Start | Begin]:
     """The given starts, ``driven`` for None; what functions return is checked when they are called."""
 
     def checked(each: Start) -> Start:
