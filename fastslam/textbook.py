@@ -210,9 +210,16 @@ def draw_weighted(
 
 
 def proposal_update(
-    particles: list[Particle], control: ArrayLike, dt: float, ids: Iterable[int], sightings: Iterable[Array],
-    motion: MotionModel, sensor: SensorModel, rng: np.random.Generator, weight: str = "exact",
-) -> bool:  # fmt: skip
+    particles: list[Particle],
+    control: ArrayLike,
+    dt: float,
+    ids: Iterable[int],
+    sightings: Iterable[Array],
+    motion: MotionModel,
+    sensor: SensorModel,
+    rng: np.random.Generator,
+    weight: str = "exact",
+) -> bool:
     """FastSLAM 2.0, one whole step: each particle corrects its motion, draws its pose and updates its map from there.
 
     The first sighting of each known landmark corrects the motion, one after the other. The weight "exact" is multiplied
@@ -248,9 +255,12 @@ def proposal_update(
 
 
 def localization_update(
-    particles: list[Particle], ids: Iterable[int], sightings: Iterable[Array], landmarks: Mapping[int, Array],
+    particles: list[Particle],
+    ids: Iterable[int],
+    sightings: Iterable[Array],
+    landmarks: Mapping[int, Array],
     sensor: SensorModel,
-) -> None:  # fmt: skip
+) -> None:
     """Monte Carlo localisation: the landmarks are known (S = 0), so w *= N(z; h(m), Q) and no landmark moves."""
     before = [particle.log_weight for particle in particles]
     for j, z in zip(ids, sightings, strict=True):
@@ -323,9 +333,14 @@ def measurements(
 
 
 def fastslam1(
-    log: Log, *, particles: int = 100, rng: np.random.Generator | int, motion: MotionModel | None = None,
-    sensor: SensorModel | None = None, ess_threshold: float = 1.0,
-) -> Iterator[list[Particle]]:  # fmt: skip
+    log: Log,
+    *,
+    particles: int = 100,
+    rng: np.random.Generator | int,
+    motion: MotionModel | None = None,
+    sensor: SensorModel | None = None,
+    ess_threshold: float = 1.0,
+) -> Iterator[list[Particle]]:
     """Run FastSLAM 1.0 over a log and yield the particles after every step, the first at the known first pose.
 
     ``rng`` gives the random numbers, or is the seed of one that does.
@@ -344,9 +359,15 @@ def fastslam1(
 
 
 def fastslam2(
-    log: Log, *, particles: int = 100, rng: np.random.Generator | int, motion: MotionModel | None = None,
-    sensor: SensorModel | None = None, ess_threshold: float = 1.0, proposal_weight: str = "exact",
-) -> Iterator[list[Particle]]:  # fmt: skip
+    log: Log,
+    *,
+    particles: int = 100,
+    rng: np.random.Generator | int,
+    motion: MotionModel | None = None,
+    sensor: SensorModel | None = None,
+    ess_threshold: float = 1.0,
+    proposal_weight: str = "exact",
+) -> Iterator[list[Particle]]:
     """Run FastSLAM 2.0 over a log, as `fastslam1`; proposal_weight: "exact" or "linearised", see `proposal_update`.
 
     Raises:

@@ -128,9 +128,10 @@ def read_text(path: Path) -> str:
             message = "the text is in UTF-16; save it as UTF-8: iconv -f utf-16 -t utf-8 OLD > NEW"
             raise FormatError(path, None, message) from None
         raise FormatError(
-            path, None,
+            path,
+            None,
             "not a text file in UTF-8; if it is in another encoding, save it as UTF-8: iconv -f latin1 -t utf-8 OLD > NEW",
-        ) from None  # fmt: skip
+        ) from None
     except OSError as error:
         raise FormatError(path, None, f"cannot be read: {error.strerror}") from None
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text

@@ -170,9 +170,14 @@ def heading_rmse(truth: ArrayLike, estimate: ArrayLike, *, mask: ArrayLike | Non
 
 
 def alignment_of(
-    true_poses: Array | None, true_landmarks: Mapping[int, Array] | None, poses: Array,
-    landmarks: Landmarks, *, mask: ArrayLike | None = None, named: bool = True,
-) -> tuple[Array, str] | None:  # fmt: skip
+    true_poses: Array | None,
+    true_landmarks: Mapping[int, Array] | None,
+    poses: Array,
+    landmarks: Landmarks,
+    *,
+    mask: ArrayLike | None = None,
+    named: bool = True,
+) -> tuple[Array, str] | None:
     """The rigid motion (3,) after which an estimate is measured and drawn, and whether "poses" or "landmarks" gave it.
 
     The poses give it where at least two true positions are known. Otherwise the landmarks do, if at least two of them
@@ -320,9 +325,14 @@ def mean_nees(truth: Array, poses: Array, covariances: Array, *, relative: bool 
 
 
 def evaluate(
-    true_poses: Array | None, true_landmarks: Mapping[int, Array] | None, poses: Array,
-    landmarks: Landmarks, *, mask: ArrayLike | None = None, named: bool = True,
-) -> Metrics:  # fmt: skip
+    true_poses: Array | None,
+    true_landmarks: Mapping[int, Array] | None,
+    poses: Array,
+    landmarks: Landmarks,
+    *,
+    mask: ArrayLike | None = None,
+    named: bool = True,
+) -> Metrics:
     """All errors of one estimate; those that need an unknown truth are None.
 
     `alignment_of` says how the estimate is aligned. Where the landmarks are not ``named``, because their ids are arbitrary
@@ -345,9 +355,13 @@ def evaluate(
     rpe_m, rpe_rad = rpe(true_poses, poses, mask=counted) or (None, None)
     heading_rad = heading_rmse(true_poses, poses, mask=counted)
     return replace(
-        of_map, ate_m=ate(true_poses, poses, mask=counted), rpe_m=rpe_m, rpe_rad=rpe_rad, heading_rad=heading_rad,
+        of_map,
+        ate_m=ate(true_poses, poses, mask=counted),
+        rpe_m=rpe_m,
+        rpe_rad=rpe_rad,
+        heading_rad=heading_rad,
         poses_counted=int(np.count_nonzero(counted)),
-    )  # fmt: skip
+    )
 
 
 def _positions(places: Landmarks, ids: list[int]) -> Array:

@@ -65,9 +65,16 @@ class TextbookSolution:
 
 
 def solve(
-    log: Log, *, edges: str = "virtual", threshold: float | None = None, motion: MotionModel | None = None,
-    sensor: SensorModel | None = None, dimensions: int | None = None, motion_copies: int = 1, max_iterations: int = 100,
-) -> TextbookSolution:  # fmt: skip
+    log: Log,
+    *,
+    edges: str = "virtual",
+    threshold: float | None = None,
+    motion: MotionModel | None = None,
+    sensor: SensorModel | None = None,
+    dimensions: int | None = None,
+    motion_copies: int = 1,
+    max_iterations: int = 100,
+) -> TextbookSolution:
     """Repeat the book's program on a log.
 
     Args:

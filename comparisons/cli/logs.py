@@ -22,11 +22,13 @@ if TYPE_CHECKING:
 
 
 def simulate(
-    output: Output, out: Annotated[Path, argument("OUT", "The file to write (.npz keeps everything).")], *,
+    output: Output,
+    out: Annotated[Path, argument("OUT", "The file to write (.npz keeps everything).")],
+    *,
     options: declared.SimulationOptions,
     format: Annotated[str | None, typer.Option(help="npz or lnpr.", show_default="by the suffix of OUT")] = None,
     truth: Annotated[bool, typer.Option(help="Keep the true poses and landmarks (lnpr cannot).")] = True,
-) -> None:  # fmt: skip
+) -> None:
     """Write a simulated log with its ground truth.
 
     The robot has the book's faults, each of which can be changed. With --clean the robot has no faults, only the noise of
@@ -99,8 +101,10 @@ def evaluate(
         Path, argument("TRUTH", "The true poses: a table (.csv, .tum, ...), BAG:TOPIC, or a log with ground truth.")
     ],
     estimates: Annotated[list[Path], argument("ESTIMATE ...", "Estimated poses: tables, bags or BAG:TOPIC, or .npz.")],
-    *, options: declared.EvaluationOptions, drawing: declared.FigureOptions,
-) -> None:  # fmt: skip
+    *,
+    options: declared.EvaluationOptions,
+    drawing: declared.FigureOptions,
+) -> None:
     """Compare trajectories and maps of any program with the ground truth.
 
     A trajectory is a table with columns t, x, y and theta, or a quaternion; TUM files are read as they are. Covariances of
@@ -245,9 +249,12 @@ def solvers(output: Output, log: LogFile = None, *, options: declared.SolverChec
 
 
 def backends(
-    output: Output, files: Annotated[list[Path], argument("FILE...", "Pose graphs: g2o, TORO or iSAM text.")], *,
-    options: declared.BackendOptions, drawing: declared.FigureOptions,
-) -> None:  # fmt: skip
+    output: Output,
+    files: Annotated[list[Path], argument("FILE...", "Pose graphs: g2o, TORO or iSAM text.")],
+    *,
+    options: declared.BackendOptions,
+    drawing: declared.FigureOptions,
+) -> None:
     """Time this solver, GTSAM and g2o on pose graphs; the same function computes the chi2 of every solver's result.
 
     Examples:

@@ -119,9 +119,14 @@ class Output:
     """
 
     def __init__(
-        self, json: str | None, *, quiet: bool = False, verbose: bool = False, lang: str | None = None,
+        self,
+        json: str | None,
+        *,
+        quiet: bool = False,
+        verbose: bool = False,
+        lang: str | None = None,
         options: Collection[str] = (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         from rich.console import Console
 
         from ..results.files import check_can_write

@@ -120,8 +120,10 @@ def report(
     words: Annotated[
         list[str], argument("[LOG] OUT.html", "The log (default: the sample log of the package), and the page.")
     ],
-    *, chosen: declared.EstimatorOptions, options: declared.RunOptions,
-) -> None:  # fmt: skip
+    *,
+    chosen: declared.EstimatorOptions,
+    options: declared.RunOptions,
+) -> None:
     """Run all estimators on one log and write an interactive report: one HTML file that works offline.
 
     Examples:
@@ -143,12 +145,17 @@ def report(
 
 def animate(
     output: Output,
-    words: Annotated[list[str], argument(
-        "[LOG] OUT",
-        "The log (default: the sample log of the package), and the animation: .gif, .mp4 (needs ffmpeg) or .html.",
-    )],
-    *, animation: declared.AnimationOptions, options: declared.RunOptions,
-) -> None:  # fmt: skip
+    words: Annotated[
+        list[str],
+        argument(
+            "[LOG] OUT",
+            "The log (default: the sample log of the package), and the animation: .gif, .mp4 (needs ffmpeg) or .html.",
+        ),
+    ],
+    *,
+    animation: declared.AnimationOptions,
+    options: declared.RunOptions,
+) -> None:
     """Animate an estimator: a graph as it is solved, particles and their maps, ISAM2 as the robot drives, sampled paths.
 
     Examples:
@@ -182,9 +189,11 @@ def animate(
 
 
 def _compared(
-    output: Output, log: Path | list[Path | None] | None, chosen: declared.EstimatorOptions,
+    output: Output,
+    log: Path | list[Path | None] | None,
+    chosen: declared.EstimatorOptions,
     options: declared.RunOptions,
-) -> Comparison:  # fmt: skip
+) -> Comparison:
     from ..comparison import compare
     from ..estimators import default_estimators
 

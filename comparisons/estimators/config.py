@@ -34,13 +34,16 @@ def config_text(
     named = bool(paths) and (not isinstance(source, tuple) or len(paths) == len(source))
     names = [_path_text(path.absolute()) for path in paths] if named else []
     table: dict[str, Any] = {
-        "log": None if not named or paths == [sample_log_path()] else names[0], "others": names[1:] or None,
-        "log_sha256": sha256_of(*paths) if named else None, "estimators": estimators, "time_limit": time_limit,
+        "log": None if not named or paths == [sample_log_path()] else names[0],
+        "others": names[1:] or None,
+        "log_sha256": sha256_of(*paths) if named else None,
+        "estimators": estimators,
+        "time_limit": time_limit,
         **{each.name: value for each, value in options.changed() if each.only != "python"},
         # the numbers of a noise file are below
         "noise": options.noise if options.noise == AUTO else None,
         "map": None if options.map is None else _path_text(options.map.absolute()),
-    }  # fmt: skip
+    }
     for name in MODELS if options.noise != AUTO else ():
         # what was estimated from the log is estimated again
         table[name] = None if (model := getattr(options, name)) is None else asdict(model)

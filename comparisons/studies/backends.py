@@ -288,9 +288,11 @@ class BackendComparison(Displayed):
 
 
 def compare_backends(
-    files: Sequence[str | PathLike[str]] | str | PathLike[str], *,
-    progress: Callable[[BackendRow | SkippedBackend], None] | None = None, **options: Any,
-) -> BackendComparison:  # fmt: skip
+    files: Sequence[str | PathLike[str]] | str | PathLike[str],
+    *,
+    progress: Callable[[BackendRow | SkippedBackend], None] | None = None,
+    **options: Any,
+) -> BackendComparison:
     """Optimise pose graphs with several backends: first pose fixed, the file's initial values, the same stop rule.
 
     Each backend runs ``repeat`` times, after a run on a tiny graph that loads its modules; its time is the

@@ -143,9 +143,11 @@ def variants(log: Log, options: SolverCheckOptions | None = None) -> Iterator[Va
 
 
 def compare_solvers(
-    log: Log | str | PathLike[str] | None = None, *,
-    progress: Callable[[VariantResult | SkippedVariant], None] | None = None, **options: Any,
-) -> SolverComparison:  # fmt: skip
+    log: Log | str | PathLike[str] | None = None,
+    *,
+    progress: Callable[[VariantResult | SkippedVariant], None] | None = None,
+    **options: Any,
+) -> SolverComparison:
     """Solve every variant of a log's graph by hand and with GTSAM.
 
     Where a robust kernel gives a graph several minima, both solvers start from Huber's solution.

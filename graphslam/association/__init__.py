@@ -6,6 +6,12 @@ from .associate import Association, AssociationScore, associate_from, known_nois
 from .problem import AssociationOptions
 
 __all__ = [
-    "Association", "AssociationOptions", "AssociationScore", "Ambiguity", "associate_from", "ids_by_map", "known_noise",
+    "Association",
+    "AssociationOptions",
+    "AssociationScore",
+    "Ambiguity",
+    "associate_from",
+    "ids_by_map",
+    "known_noise",
     "score",
-]  # fmt: skip
+]

@@ -190,10 +190,15 @@ class Association:
 
 
 def associate_from(
-    log: Log, *, motion: MotionModel | None = None, sensor: SensorModel | None = None,
-    options: AssociationOptions | None = None, start: Starts = None,
-    estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[str] | None = None, **changes: Any,
-) -> Association:  # fmt: skip
+    log: Log,
+    *,
+    motion: MotionModel | None = None,
+    sensor: SensorModel | None = None,
+    options: AssociationOptions | None = None,
+    start: Starts = None,
+    estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[str] | None = None,
+    **changes: Any,
+) -> Association:
     """Find out which sightings are of the same landmark, from the log alone.
 
     `fastslam.associate` calls this with the starts of its front ends.
@@ -386,10 +391,14 @@ def score(ids: np.ndarray, true_ids: np.ndarray) -> AssociationScore:
     matches = dict(zip(names[given][rows].tolist(), truths[truths != UNIDENTIFIED][columns].tolist(), strict=True))
     unmatched = np.setdiff1d(np.arange(len(among)), rows)
     return AssociationScore(
-        precision=correct / assigned if assigned else None, recall=correct / seen if seen else None, found=len(rows),
-        missed=among.shape[1] - len(rows), doubled=int(np.sum(most[unmatched] >= np.maximum(clutter[unmatched], 1))),
-        invented=int(np.sum(most[unmatched] < clutter[unmatched])), matches=matches,
-    )  # fmt: skip
+        precision=correct / assigned if assigned else None,
+        recall=correct / seen if seen else None,
+        found=len(rows),
+        missed=among.shape[1] - len(rows),
+        doubled=int(np.sum(most[unmatched] >= np.maximum(clutter[unmatched], 1))),
+        invented=int(np.sum(most[unmatched] < clutter[unmatched])),
+        matches=matches,
+    )
 
 
 def known_noise(

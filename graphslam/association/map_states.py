@@ -154,9 +154,12 @@ class _Views:
 
 
 def map_states(
-    log: Log, landmarks: LandmarkMap | Mapping[int, Array] | str | PathLike[str] | Solution, *, prior: float = 0.05,
+    log: Log,
+    landmarks: LandmarkMap | Mapping[int, Array] | str | PathLike[str] | Solution,
+    *,
+    prior: float = 0.05,
     **options: Any,
-) -> MapStates:  # fmt: skip
+) -> MapStates:
     """The state of each landmark of a map after a log, with probabilities; see the module for the equations.
 
     Ids are taken to be right: a new id that was read once may be a misread one.

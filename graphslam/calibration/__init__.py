@@ -177,9 +177,13 @@ class Calibration:
 
 
 def calibrate(
-    log: Log | Sequence[Log], *others: Log, source: str = "auto", motion: MotionModel | None = None,
-    sensor: SensorModel | None = None, degrees: float | None = None,
-) -> Calibration:  # fmt: skip
+    log: Log | Sequence[Log],
+    *others: Log,
+    source: str = "auto",
+    motion: MotionModel | None = None,
+    sensor: SensorModel | None = None,
+    degrees: float | None = None,
+) -> Calibration:
     """Estimate the noise and the systematic errors (scales, biases, delay) of motion and sensor from one log or several.
 
     With ground truth, by maximum likelihood: true motions are compared with the commanded ones, and sightings with those
@@ -249,13 +253,16 @@ def _from_truth(logs: tuple[Log, ...], motion: MotionModel, sensor: SensorModel,
         means, errors, fits = means | odometry[0], errors | odometry[1], {"motion": moved, "sensor": seen}
     return Calibration(
         motion=with_variances(motion, fits["motion"].variances) if "motion" in fits else None,
-        sensor=with_variances(sensor, seen.variances), **means,
+        sensor=with_variances(sensor, seen.variances),
+        **means,
         errors={name: error for fit in fits.values() for name, error in fit.errors_of_model().items()} | errors,
         bounds={name: bound for fit in fits.values() for name, bound in fit.bounds_of_model().items()},
         degrees={name: fit.degrees for name, fit in fits.items()},
-        counts={name: fit.count for name, fit in fits.items()}, source="truth", logs=tuple(each.name for each in logs),
+        counts={name: fit.count for name, fit in fits.items()},
+        source="truth",
+        logs=tuple(each.name for each in logs),
         notes=(*_heavy_tails(fits), *_common_errors(logs, sensor)),
-    )  # fmt: skip
+    )
 
 
 def _common_errors(logs: tuple[Log, ...], sensor: SensorModel) -> tuple[str, ...]:
@@ -295,11 +302,16 @@ def _with_true_motion(found: Calibration, motion: MotionModel, moved: VarianceFi
         "those of the sensor from residuals"
     )
     return replace(
-        found, motion=with_variances(motion, moved.variances), sensor=replace(found.sensor, **longer), **biases,
-        errors=known | moved.errors_of_model() | errors, bounds=moved.bounds_of_model(),
-        degrees={"motion": moved.degrees}, counts=found.counts | {"motion": moved.count},
+        found,
+        motion=with_variances(motion, moved.variances),
+        sensor=replace(found.sensor, **longer),
+        **biases,
+        errors=known | moved.errors_of_model() | errors,
+        bounds=moved.bounds_of_model(),
+        degrees={"motion": moved.degrees},
+        counts=found.counts | {"motion": moved.count},
         notes=(note, *_heavy_tails({"motion": moved}), *found.notes),
-    )  # fmt: skip
+    )
 
 
 def _values(found: RobotEstimate, every: Sequence[RobotEstimate]) -> dict[str, tuple[float, float]]:

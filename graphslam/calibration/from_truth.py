@@ -241,9 +241,14 @@ def _lateness(log: Log, sensor: SensorModel, single: float) -> float | None:
 
 
 def fit_with_means(
-    residuals: Callable[[Array], Array], slopes: Callable[[Array], Array], ideal: Array, parts: Mapping[str, Array],
-    degrees: float | None, *, robust: bool = True,
-) -> tuple[VarianceFit, Array, Array]:  # fmt: skip
+    residuals: Callable[[Array], Array],
+    slopes: Callable[[Array], Array],
+    ideal: Array,
+    parts: Mapping[str, Array],
+    degrees: float | None,
+    *,
+    robust: bool = True,
+) -> tuple[VarianceFit, Array, Array]:
     """Variances and means in turn: the means by weighted least squares with the last variances and weights, and so on.
 
     Args:

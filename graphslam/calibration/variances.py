@@ -77,9 +77,13 @@ class VarianceFit:
 
 
 def fit_variances(
-    residuals: Array, parts: Mapping[str, Array], *, degrees: float | None = None,
-    least: Mapping[str, float] | None = None, start: VarianceFit | None = None,
-) -> VarianceFit:  # fmt: skip
+    residuals: Array,
+    parts: Mapping[str, Array],
+    *,
+    degrees: float | None = None,
+    least: Mapping[str, float] | None = None,
+    start: VarianceFit | None = None,
+) -> VarianceFit:
     """The variances theta_p with the highest likelihood of the residuals.
 
     Args:
@@ -104,10 +108,13 @@ def fit_variances(
     theta, nu = likelihood.theta(q), likelihood.nu(q)
     return VarianceFit(
         variances=dict.fromkeys(parts, 0.0) | likelihood.named(theta),
-        errors=dict.fromkeys(parts, float("nan")) | likelihood.errors(theta, nu), degrees=nu,
-        log_likelihood=-lowest * count, weights=likelihood.weights(theta, nu), count=count,
+        errors=dict.fromkeys(parts, float("nan")) | likelihood.errors(theta, nu),
+        degrees=nu,
+        log_likelihood=-lowest * count,
+        weights=likelihood.weights(theta, nu),
+        count=count,
         bound=lambda name: likelihood.bound(name, q),
-    )  # fmt: skip
+    )
 
 
 class _Likelihood:

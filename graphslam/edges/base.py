@@ -57,9 +57,12 @@ class Linearization:
 
 
 def linearization(
-    nodes: tuple[np.ndarray, ...], residuals: Array, information: Array, levers: tuple[Array, ...],
+    nodes: tuple[np.ndarray, ...],
+    residuals: Array,
+    information: Array,
+    levers: tuple[Array, ...],
     angle: Array | None = None,
-) -> Linearization:  # fmt: skip
+) -> Linearization:
     """Edges whose Jacobians in world axes are -[I, u; 0, 1] at the first end and [I, v; 0, 1] at the second.
 
     Args:

@@ -106,9 +106,17 @@ class DoubtedPointEdges(SingleEdges, RelativePointEdges):
 
 
 def motion_edges(
-    nodes: np.ndarray, controls: Array, dt: Array, motion: MotionModel, *, starts: np.ndarray | None = None,
-    control_variances: Array | None = None, recorded_dt: Array | None = None, frame: str = "body", scale: float = 1.0,
-) -> RelativePoseEdges:  # fmt: skip
+    nodes: np.ndarray,
+    controls: Array,
+    dt: Array,
+    motion: MotionModel,
+    *,
+    starts: np.ndarray | None = None,
+    control_variances: Array | None = None,
+    recorded_dt: Array | None = None,
+    frame: str = "body",
+    scale: float = 1.0,
+) -> RelativePoseEdges:
     """The motion edges between consecutive ``nodes`` (T+1,), driven by ``controls`` (S, 2) for ``dt`` (S,) seconds.
 
     Args:

@@ -12,7 +12,20 @@ from .priors import AnchorFactor, PositionFactor, PriorFactor
 from .relative import MotionFactor, RelativeEdgesFactor, RelativePoseFactor, VirtualMotionFactor
 
 __all__ = [
-    "AnchorFactor", "FactorDescription", "InverseObservationFactor", "LandmarkFactor", "MotionFactor",
-    "ObservationFactor", "PositionFactor", "PriorFactor", "RelativeEdgesFactor", "RelativePointFactor",
-    "RelativePoseFactor", "ResidualFactor", "VirtualMotionFactor", "describe", "load_factors", "save_factors",
-]  # fmt: skip
+    "AnchorFactor",
+    "FactorDescription",
+    "InverseObservationFactor",
+    "LandmarkFactor",
+    "MotionFactor",
+    "ObservationFactor",
+    "PositionFactor",
+    "PriorFactor",
+    "RelativeEdgesFactor",
+    "RelativePointFactor",
+    "RelativePoseFactor",
+    "ResidualFactor",
+    "VirtualMotionFactor",
+    "describe",
+    "load_factors",
+    "save_factors",
+]

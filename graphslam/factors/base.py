@@ -80,11 +80,18 @@ class Factor(gtsam.CustomFactor):
         FACTOR_TYPES[cls.__name__] = cls
 
     def __init__(
-        self, keys: Sequence[int], kinds: Sequence[str], residual: Callable[..., Linearized],
-        arguments: Mapping[str, Any], *, covariance: Array | None = None, information: Array | None = None,
-        named_keys: Sequence[int] | None = None, in_own_axes: bool = False,
+        self,
+        keys: Sequence[int],
+        kinds: Sequence[str],
+        residual: Callable[..., Linearized],
+        arguments: Mapping[str, Any],
+        *,
+        covariance: Array | None = None,
+        information: Array | None = None,
+        named_keys: Sequence[int] | None = None,
+        in_own_axes: bool = False,
         error: Callable[..., ArrayLike] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         keys = checked_keys(type(self).__name__, keys)
         given, kernel = covariance if information is None else information, kernel_of(arguments["kernel"])
         assert given is not None
@@ -124,9 +131,14 @@ class Factor(gtsam.CustomFactor):
 
 
 def _guarded(
-    description: FactorDescription, keys: Sequence[int], kinds: Sequence[str], rows: int,
-    residual: Callable[..., Linearized], in_own_axes: bool, error: Callable[..., ArrayLike] | None,
-) -> Callable[..., Array]:  # fmt: skip
+    description: FactorDescription,
+    keys: Sequence[int],
+    kinds: Sequence[str],
+    rows: int,
+    residual: Callable[..., Linearized],
+    in_own_axes: bool,
+    error: Callable[..., ArrayLike] | None,
+) -> Callable[..., Array]:
     """The callback of a `gtsam.CustomFactor` around a residual; the arguments are those of `Factor`."""
     ends = list(zip(keys, kinds))
     expected, shapes = (rows,), [(rows, KINDS[kind][0]) for kind in kinds]
@@ -319,9 +331,14 @@ class ResidualFactor(Factor):
     keys_in_list = True
 
     def __init__(
-        self, keys: Sequence[int], residual: Callable[..., Any], information: ArrayLike, *,
-        kinds: Sequence[str] | None = None, kernel: KernelLike = None,
-    ) -> None:  # fmt: skip
+        self,
+        keys: Sequence[int],
+        residual: Callable[..., Any],
+        information: ArrayLike,
+        *,
+        kinds: Sequence[str] | None = None,
+        kernel: KernelLike = None,
+    ) -> None:
         keys = listed_keys("ResidualFactor", keys)
         if not (kinds is None or isinstance(kinds, (list, tuple))):
             raise OptionError(f"kinds must be a list of {', '.join(KINDS)}, not {quoted(kinds)}")

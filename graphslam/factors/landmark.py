@@ -66,10 +66,18 @@ class LandmarkFactor(Factor):
     keys_in_list = True
 
     def __init__(
-        self, keys: Sequence[int], sightings: ArrayLike, sensor: SensorModel | None = None, *, frame: str = "body",
-        weight: str = "pairs", at: ArrayLike | Sequence[PoseLike] | None = None, trust: ArrayLike | None = None,
-        kernel: KernelLike = None, noise_at: ArrayLike | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        keys: Sequence[int],
+        sightings: ArrayLike,
+        sensor: SensorModel | None = None,
+        *,
+        frame: str = "body",
+        weight: str = "pairs",
+        at: ArrayLike | Sequence[PoseLike] | None = None,
+        trust: ArrayLike | None = None,
+        kernel: KernelLike = None,
+        noise_at: ArrayLike | None = None,
+    ) -> None:
         world, robust = in_world_frame(frame), kernel_of(kernel)
         if robust is not None and robust.width is None:
             raise OptionError(f"the kernel of a LandmarkFactor needs a width, such as {type(robust).__name__}(5.0)")
@@ -263,9 +271,17 @@ class ObservationFactor(Factor):
     """
 
     def __init__(
-        self, pose_key: int, landmark_key: int, z: ArrayLike, sensor: SensorModel | None = None, *,
-        residual: str = "cartesian", scale: float = 1.0, kernel: KernelLike = None, noise_at: ArrayLike | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        pose_key: int,
+        landmark_key: int,
+        z: ArrayLike,
+        sensor: SensorModel | None = None,
+        *,
+        residual: str = "cartesian",
+        scale: float = 1.0,
+        kernel: KernelLike = None,
+        noise_at: ArrayLike | None = None,
+    ) -> None:
         z, sensor = sighting("z", z), model_of(SensorModel, sensor)
         at_sighting = noise_sighting(noise_at, z)
         checks.check_choice("residual", residual, RESIDUALS)
@@ -319,9 +335,18 @@ class InverseObservationFactor(Factor):
     """
 
     def __init__(
-        self, pose_key: int, landmark_key: int, z: ArrayLike, sensor: SensorModel | None = None, *, frame: str = "body",
-        at: PoseLike | None = None, scale: float = 1.0, kernel: KernelLike = None, noise_at: ArrayLike | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        pose_key: int,
+        landmark_key: int,
+        z: ArrayLike,
+        sensor: SensorModel | None = None,
+        *,
+        frame: str = "body",
+        at: PoseLike | None = None,
+        scale: float = 1.0,
+        kernel: KernelLike = None,
+        noise_at: ArrayLike | None = None,
+    ) -> None:
         z, sensor, world = sighting("z", z), model_of(SensorModel, sensor), in_world_frame(frame)
         frozen, kinds = frozen_at(at, needed=world), [POSE, POSE if len(z) == 3 else POINT]
         # in the robot's axes the covariance is that seen from a pose at the origin
@@ -347,9 +372,14 @@ class RelativePointFactor(Factor):
     """
 
     def __init__(
-        self, pose_key: int, landmark_key: int, measured: ArrayLike, information: ArrayLike, *,
+        self,
+        pose_key: int,
+        landmark_key: int,
+        measured: ArrayLike,
+        information: ArrayLike,
+        *,
         kernel: KernelLike = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         z, omega = checks.finite_numbers("measured", measured, (2,)), positive_definite(information, 2)
         arguments = {"measured": z, "information": omega, "kernel": kernel}
         residual = _in_the_plane(z[0], z[1])

@@ -41,10 +41,16 @@ class PriorFactor(Factor):
     keys_in_list = True
 
     def __init__(
-        self, keys: Sequence[int], values: ArrayLike, information: ArrayLike, *,
-        coordinates: Sequence[int] | np.ndarray | None = None, points: int = 0, pivot: ArrayLike | None = None,
+        self,
+        keys: Sequence[int],
+        values: ArrayLike,
+        information: ArrayLike,
+        *,
+        coordinates: Sequence[int] | np.ndarray | None = None,
+        points: int = 0,
+        pivot: ArrayLike | None = None,
         kernel: KernelLike = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         keys = listed_keys("PriorFactor", keys)
         poses, held = len(keys) - points, checks.finite_numbers("values", values, (len(keys), 3))
         kinds = [POSE] * poses + [POINT] * points
@@ -148,9 +154,14 @@ class PositionFactor(Factor):
     """
 
     def __init__(
-        self, key: int, measured: ArrayLike, information: ArrayLike, *, lever: ArrayLike = (0.0, 0.0),
+        self,
+        key: int,
+        measured: ArrayLike,
+        information: ArrayLike,
+        *,
+        lever: ArrayLike = (0.0, 0.0),
         kernel: KernelLike = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         z, arm = checks.finite_numbers("measured", measured, (2,), (3,)), checks.finite_numbers("lever", lever, (2,))
         omega = positive_definite(information, len(z))
         (x, y), (ahead, left), heading = z[:2].tolist(), arm.tolist(), z[2:].tolist()

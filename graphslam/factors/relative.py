@@ -51,9 +51,16 @@ class RelativePoseFactor(Factor):
     """
 
     def __init__(
-        self, key_1: int, key_2: int, measured: PoseLike, information: ArrayLike, *, frame: str = "body",
-        at: PoseLike | None = None, kernel: KernelLike = None,
-    ) -> None:  # fmt: skip
+        self,
+        key_1: int,
+        key_2: int,
+        measured: PoseLike,
+        information: ArrayLike,
+        *,
+        frame: str = "body",
+        at: PoseLike | None = None,
+        kernel: KernelLike = None,
+    ) -> None:
         z, omega = checks.checked_pose("measured", measured), positive_definite(information)
         arguments = {"measured": z, "information": omega, "frame": frame, "at": at, "kernel": kernel}
         self._make([key_1, key_2], z, omega, arguments)
@@ -122,9 +129,18 @@ class MotionFactor(RelativePoseFactor):
     """
 
     def __init__(
-        self, key_1: int, key_2: int, control: ArrayLike, dt: float, motion: MotionModel | None = None, *,
-        frame: str = "body", at: PoseLike | None = None, scale: float = 1.0, kernel: KernelLike = None,
-    ) -> None:  # fmt: skip
+        self,
+        key_1: int,
+        key_2: int,
+        control: ArrayLike,
+        dt: float,
+        motion: MotionModel | None = None,
+        *,
+        frame: str = "body",
+        at: PoseLike | None = None,
+        scale: float = 1.0,
+        kernel: KernelLike = None,
+    ) -> None:
         checks.check_positive(dt=dt)
         motion, u = model_of(MotionModel, motion), checks.finite_numbers("control", control, (2,))
         nu, omega = u.tolist()
@@ -199,10 +215,20 @@ class RelativeEdgesFactor(Factor):
     keys_in_list = True
 
     def __init__(
-        self, keys: Sequence[int], first: ArrayLike, second: ArrayLike, measured: ArrayLike, information: ArrayLike, *,
-        points: int = 0, frame: str = "body", at: ArrayLike | None = None, edge_kernel: KernelLike = None,
-        robust: ArrayLike | None = None, kernel: KernelLike = None,
-    ) -> None:  # fmt: skip
+        self,
+        keys: Sequence[int],
+        first: ArrayLike,
+        second: ArrayLike,
+        measured: ArrayLike,
+        information: ArrayLike,
+        *,
+        points: int = 0,
+        frame: str = "body",
+        at: ArrayLike | None = None,
+        edge_kernel: KernelLike = None,
+        robust: ArrayLike | None = None,
+        kernel: KernelLike = None,
+    ) -> None:
         keys = listed_keys("RelativeEdgesFactor", keys)
         poses, world = len(keys) - points, in_world_frame(frame)
         i, j = (np.array(ends, dtype=np.int64) for ends in (first, second))
@@ -275,10 +301,19 @@ class VirtualMotionFactor(Factor):
     """
 
     def __init__(
-        self, key_1: int, key_2: int, z_1: ArrayLike, z_2: ArrayLike, sensor: SensorModel | None = None, *,
-        frame: str = "body", at: tuple[PoseLike, PoseLike] | None = None, scale: float = 1.0, kernel: KernelLike = None,
+        self,
+        key_1: int,
+        key_2: int,
+        z_1: ArrayLike,
+        z_2: ArrayLike,
+        sensor: SensorModel | None = None,
+        *,
+        frame: str = "body",
+        at: tuple[PoseLike, PoseLike] | None = None,
+        scale: float = 1.0,
+        kernel: KernelLike = None,
         noise_at: tuple[ArrayLike, ArrayLike] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         sensor, body = model_of(SensorModel, sensor), not in_world_frame(frame)
         z_1, z_2 = sighting("z_1", z_1), sighting("z_2", z_2)
         if len(z_1) != len(z_2):

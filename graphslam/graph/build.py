@@ -89,9 +89,17 @@ def _scaled(model: Any, part: float) -> Any:
 
 
 def graph_of_log(
-    make: type[Graph], log: Log, *, motion: MotionModel, sensor: SensorModel, options: EdgeOptions,
-    kernel: Kernel | None, landmark_map: LandmarkMap | None, notes: Sequence[str], **declared: Parameters | None,
-) -> Graph:  # fmt: skip
+    make: type[Graph],
+    log: Log,
+    *,
+    motion: MotionModel,
+    sensor: SensorModel,
+    options: EdgeOptions,
+    kernel: Kernel | None,
+    landmark_map: LandmarkMap | None,
+    notes: Sequence[str],
+    **declared: Parameters | None,
+) -> Graph:
     """The graph of a log; arguments and errors as in `Graph.from_log`.
 
     With a map the log is in its frame already, and the map takes the place of the anchor. ``declared`` are the parameters.
@@ -320,9 +328,13 @@ def with_dimensions(log: Log, dimensions: int | None) -> Log:
 
 
 def estimate_map(
-    log: Log, poses: ArrayLike, *, sensor: SensorModel | None = None, kernel: Kernel | str | None = None,
+    log: Log,
+    poses: ArrayLike,
+    *,
+    sensor: SensorModel | None = None,
+    kernel: Kernel | str | None = None,
     trust: ArrayLike | None = None,
-) -> LandmarkMap:  # fmt: skip
+) -> LandmarkMap:
     """m_j = argmin over m of the sum of w (m - y)' Omega (m - y), y = h^-1(x_t, z), Omega^-1 = R Q R', for each landmark.
 
     The weight w of a sighting is its trust times the weight of the kernel, 1 where there is neither.

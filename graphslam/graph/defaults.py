@@ -60,9 +60,12 @@ def suitable_kernel(log: Log) -> str:
 
 
 def suitable_for_isam2(
-    log: Log, edges: str | None = None, kernel: Kernel | str | None = None, motion: MotionModel | None = None,
+    log: Log,
+    edges: str | None = None,
+    kernel: Kernel | str | None = None,
+    motion: MotionModel | None = None,
     sensor: SensorModel | None = None,
-) -> tuple[str, Kernel | str]:  # fmt: skip
+) -> tuple[str, Kernel | str]:
     """The edges and the kernel of `Graph.from_log` where they are None, as far as ISAM2 can have both.
 
     It takes a kernel on the sightings of landmark nodes only: a kernel decides for these, and named virtual-motion edges

@@ -34,8 +34,12 @@ from .pose_graph import KINDS, FileEdges, PoseGraphFile, read_pose_graph, write_
 
 
 def from_g2o(
-    path: str | PathLike[str], *, format: str | None = None, unknown: str = "error", kernel: Kernel | str | None = None,
-) -> Graph:  # fmt: skip
+    path: str | PathLike[str],
+    *,
+    format: str | None = None,
+    unknown: str = "error",
+    kernel: Kernel | str | None = None,
+) -> Graph:
     """The pose graph of a g2o, TORO or iSAM text file; see `graph.pose_graph` for the dialects.
 
     Nodes named in FIX lines are held; without any, and without priors, the pose with the lowest id is. The cost is g2o's

@@ -113,12 +113,22 @@ class Graph:
 
     @classmethod
     def from_log(
-        cls, log: Log, *, motion: MotionModel | None = None, sensor: SensorModel | None = None,
-        edges: str | None = None, frame: str = "body", weight: str = "pairs", motion_weight: float = 1.0,
-        kernel: Kernel | str | None = None, dimensions: int | None = None, residual: str = "cartesian",
-        estimate: str | Iterable[str] | Mapping[str, float | None] | None = None, noise: str | None = None,
+        cls,
+        log: Log,
+        *,
+        motion: MotionModel | None = None,
+        sensor: SensorModel | None = None,
+        edges: str | None = None,
+        frame: str = "body",
+        weight: str = "pairs",
+        motion_weight: float = 1.0,
+        kernel: Kernel | str | None = None,
+        dimensions: int | None = None,
+        residual: str = "cartesian",
+        estimate: str | Iterable[str] | Mapping[str, float | None] | None = None,
+        noise: str | None = None,
         map: LandmarkMap | Mapping[int, Array] | str | PathLike[str] | None = None,
-    ) -> Graph:  # fmt: skip
+    ) -> Graph:
         """The graph of a log: an anchor at the first node, edges from what was measured, and motion edges where asked for.
 
         With a map the graph is in its frame, and has no anchor. The first fix needs no start pose (`first_fix`). Absolute

@@ -158,10 +158,11 @@ def read_pose_graph(path: Path, dialect: str | None = None, unknown: str = "erro
     if dialect is None:
         if "EDGE2" in tags and "VERTEX2" in tags and ("LANDMARK" in tags or "ODOMETRY" in tags):
             raise FormatError(
-                path, None,
+                path,
+                None,
                 "EDGE2 is TORO's beside VERTEX2 and iSAM's beside ODOMETRY or LANDMARK, and this file has both; name "
                 "the format that is meant, toro or isam",
-            )  # fmt: skip
+            )
         dialect = "toro" if "VERTEX2" in tags else "isam"
     return _assemble(lines, "isam" if dialect == "isam" else "toro")
 
@@ -209,10 +210,11 @@ def _assemble(lines: _Lines, edge2: str) -> PoseGraphFile:
         for edge in (*lines.edges["pose"], *lines.edges["point"]):
             if edge.ids[0] not in poses:
                 raise FormatError(
-                    path, edge.line,
+                    path,
+                    edge.line,
                     f"the graph falls into pieces: no edges lead from pose {next(iter(poses))} to pose "
                     f"{edge.ids[0]}; add the edge that ties them, or give all vertices",
-                )  # fmt: skip
+                )
     for kind, rows in lines.edges.items():
         ends = (("pose", poses), ("pose", poses) if kind == "pose" else ("landmark", landmarks))
         for edge in rows:

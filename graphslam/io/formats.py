@@ -134,10 +134,11 @@ def _recognised(path: Path) -> Format:
         message = "this is a pose graph and no log; slam-compare backends FILE solves it, and Graph.from_g2o reads it"
         raise FormatError(path, 1, message)
     raise FormatError(
-        path, None if is_mat(head) else 1,
+        path,
+        None if is_mat(head) else 1,
         f"not a log in any known format ({', '.join(FORMATS)}); name the format if it is one. Tables of your own are a "
         "folder with odometry.csv and sightings.csv; slam-compare import --odometry FILE --sightings FILE joins others",
-    )  # fmt: skip
+    )
 
 
 def save(log: Log, path: str | PathLike[str], *, format: str | None = None) -> None:

@@ -93,13 +93,19 @@ def _read(folder: Path, _: ReadOptions) -> Log:
     controls[:, 0, 1], controls[:, 1, 0] = 2 * turn, 2 * speed
     with errors_name(path):
         return Log(
-            dt=np.full(2 * len(speed), STEP / 2), controls=controls.reshape(-1, 2),
-            control_starts=2 * np.arange(len(speed) + 1), steps=seen[:, 0].astype(np.int64) - 1,
-            landmarks=seen[:, 1].astype(np.int64), sightings=seen[:, 2:4],
+            dt=np.full(2 * len(speed), STEP / 2),
+            controls=controls.reshape(-1, 2),
+            control_starts=2 * np.arange(len(speed) + 1),
+            steps=seen[:, 0].astype(np.int64) - 1,
+            landmarks=seen[:, 1].astype(np.int64),
+            sightings=seen[:, 2:4],
             true_poses=None if truth is None else truth.T,
-            true_landmarks=None if beacons is None else {int(row[0]): row[1:] for row in beacons}, motion=motion,
-            sensor=sensor, name=folder.resolve().name, notes=tuple(notes),
-        )  # fmt: skip
+            true_landmarks=None if beacons is None else {int(row[0]): row[1:] for row in beacons},
+            motion=motion,
+            sensor=sensor,
+            name=folder.resolve().name,
+            notes=tuple(notes),
+        )
 
 
 def _noise(path: Path) -> tuple[MotionModel | None, SensorModel | None]:

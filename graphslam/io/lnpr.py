@@ -129,12 +129,17 @@ class _Reader:
         steps, landmarks = np.array(list(self.lines), dtype=np.int64).reshape(-1, 2).T
         return Log(
             dt=np.full(motions, self.delta) if controlled else None,
-            controls=np.array(self.controls[:motions]).reshape(-1, 2) if controlled else None, steps=steps,
-            landmarks=landmarks, sightings=np.array(self.sightings), initial_poses=np.array(self.poses),
+            controls=np.array(self.controls[:motions]).reshape(-1, 2) if controlled else None,
+            steps=steps,
+            landmarks=landmarks,
+            sightings=np.array(self.sightings),
+            initial_poses=np.array(self.poses),
             # logs in this format are made with the noise of the book
-            motion=MotionModel() if controlled else None, sensor=SensorModel() if controlled else None,
-            name=self.path.stem, notes=tuple(notes),
-        )  # fmt: skip
+            motion=MotionModel() if controlled else None,
+            sensor=SensorModel() if controlled else None,
+            name=self.path.stem,
+            notes=tuple(notes),
+        )
 
 
 def _read(path: Path, options: ReadOptions) -> Log:

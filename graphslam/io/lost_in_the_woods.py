@@ -77,14 +77,21 @@ def _read(path: Path, _: ReadOptions) -> Log:
             warnings.warn(f"{path}: {notes[-1]}", UserWarning, stacklevel=3)
         driven, variances = bridge(controls, np.zeros(len(dt)), dt, dt, gaps, controls)
         return Log(
-            dt=dt, controls=driven, control_variances=variances, steps=steps, landmarks=columns,
+            dt=dt,
+            controls=driven,
+            control_variances=variances,
+            steps=steps,
+            landmarks=columns,
             sightings=np.column_stack([content[name][steps, columns] for name in ("r", "b")]),
             initial_poses=MotionModel().dead_reckoning(truth[0] if valid[0] else np.zeros(3), driven, dt),
-            true_poses=truth if valid.any() else None, true_landmarks=dict(enumerate(content["l"])),
-            start_time=float(times[0]), motion=MotionModel.constant(v_std, om_std, epsilon=EPSILON),
-            sensor=SensorModel.constant(r_std, b_std, offset=(content["d"].item(), 0.0)), name="lost-in-the-woods",
+            true_poses=truth if valid.any() else None,
+            true_landmarks=dict(enumerate(content["l"])),
+            start_time=float(times[0]),
+            motion=MotionModel.constant(v_std, om_std, epsilon=EPSILON),
+            sensor=SensorModel.constant(r_std, b_std, offset=(content["d"].item(), 0.0)),
+            name="lost-in-the-woods",
             notes=tuple(notes),
-        )  # fmt: skip
+        )
 
 
 FORMAT = Format("lost-in-the-woods", _recognises, _read)

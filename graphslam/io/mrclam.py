@@ -99,11 +99,16 @@ def _read(folder: Path, options: ReadOptions, *, with_robots: bool = False) -> L
     landmarks = None if landmarks_path is None else _table(landmarks_path, _LANDMARKS)[1]
     with errors_name(odometry_path):
         return synchronize(
-            odometry, Stream(seen.times[kept], seen.rows[kept, 1:]), np.where(of_robots, UNIDENTIFIED, subject)[kept],
-            classes=classes[kept] if with_robots else None, options=options, truth=truth,
+            odometry,
+            Stream(seen.times[kept], seen.rows[kept, 1:]),
+            np.where(of_robots, UNIDENTIFIED, subject)[kept],
+            classes=classes[kept] if with_robots else None,
+            options=options,
+            truth=truth,
             true_landmarks=None if landmarks is None else {int(row[0]): row[1:3] for row in landmarks},
-            name=f"{folder.resolve().name}-robot{robot}", notes=tuple(notes),
-        )  # fmt: skip
+            name=f"{folder.resolve().name}-robot{robot}",
+            notes=tuple(notes),
+        )
 
 
 def _faults(rows: Array) -> list[Fault]:

@@ -71,10 +71,13 @@ def _read(path: Path, options: ReadOptions) -> Log:
             else:
                 measured[name] = kind(**arrays)
         return Log(
-            **models, **measured, **{name: content[name] for name in _REQUIRED},
+            **models,
+            **measured,
+            **{name: content[name] for name in _REQUIRED},
             **{name: content[name] for name in _OPTIONAL if name in content},
             true_landmarks=_true_landmarks(content) if "true_landmark_ids" in content else None,
-            start_time=float(checks.real_array(content.get("start_time", 0.0))), notes=notes,
+            start_time=float(checks.real_array(content.get("start_time", 0.0))),
+            notes=notes,
             doubts=tuple((str(check), str(message)) for check, message in content.get("doubts", np.empty((0, 2)))),
             uncertain={str(name): float(number) for name, number in content.get("uncertain", np.empty((0, 2)))} or None,
             simulated=bool(content.get("simulated", False)),
@@ -83,7 +86,7 @@ def _read(path: Path, options: ReadOptions) -> Log:
                 for name, start, time, *clock in content.get("sessions", np.empty((0, 3)))
             ),
             name=path.stem,
-        )  # fmt: skip
+        )
     except (SlamError, TypeError, ValueError) as error:
         raise FormatError(path, None, reason_of(error)) from None
 

@@ -201,20 +201,25 @@ def _log_of(file: _File, robot: int | None) -> Log:
         mine, single = ([row for row in rows if row.names[0][0] == letter] for rows in (seen, ranges))
         start = starts.get(chain[0], file.vertices[chain[0]].numbers)
         part = Log(
-            **own, **_sightings(mine, single, step, begin),
+            **own,
+            **_sightings(mine, single, step, begin),
             initial_poses=_MOTION.dead_reckoning(start, own["controls"], own["dt"])[own["control_starts"]],
             true_poses=truth[begin : begin + len(chain)] if known else None,
-            true_landmarks=landmarks if known else None, motion=_MOTION, sensor=sensor,
+            true_landmarks=landmarks if known else None,
+            motion=_MOTION,
+            sensor=sensor,
             name=file.path.stem if len(chains) == 1 and robot is None else f"robot {letter}",
-        )  # fmt: skip
+        )
         log = part if log is None else end_to_end(log, part)
         begin += len(chain)
     assert log is not None
     remarks += [note for note, count in notes.items() if count]
     return log.replace(
-        relations=_relations(file, others, step), positions=_positions(file, priors, step),
-        notes=(*log.notes, *remarks), name=log.name if robot is not None else file.path.stem,
-    )  # fmt: skip
+        relations=_relations(file, others, step),
+        positions=_positions(file, priors, step),
+        notes=(*log.notes, *remarks),
+        name=log.name if robot is not None else file.path.stem,
+    )
 
 
 def _sightings(seen: list[_Row], ranges: list[_Row], step: dict[str, int], begin: int) -> dict[str, Any]:
@@ -389,9 +394,10 @@ def _positions(file: _File, priors: list[_Row], step: dict[str, int]) -> Absolut
     if not priors:
         return None
     return AbsolutePositions(
-        steps=np.array([step[row.names[0]] for row in priors]), places=np.array([row.numbers[:3] for row in priors]),
+        steps=np.array([step[row.names[0]] for row in priors]),
+        places=np.array([row.numbers[:3] for row in priors]),
         covariances=file.covariances(priors, 3),
-    )  # fmt: skip
+    )
 
 
 FORMAT = Format("pyfg", _recognises, _read, robots=lambda path: _robots(_parsed(path)), read_robots=_read_robots)

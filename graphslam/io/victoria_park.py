@@ -80,11 +80,18 @@ def _read(path: Path, options: ReadOptions) -> Log:
     gps_path = optional_member(path.parent, "aa3_gpsx.mat", "the GPS positions as truth", notes)
     with errors_name(path):
         return synchronize(
-            Stream(times, ackermann(*content["u"])), Stream(seen_at, seen[:, :2] - [0.0, np.pi / 2]),
-            np.full(len(seen_at), UNIDENTIFIED), options=options, truth=None if gps_path is None else _gps(gps_path),
-            truth_offset=ANTENNA, start=mounted(START, (-ANTENNA[0], -ANTENNA[1])), name="victoria-park",
-            notes=tuple(notes), motion=MOTION, sensor=SENSOR,
-        )  # fmt: skip
+            Stream(times, ackermann(*content["u"])),
+            Stream(seen_at, seen[:, :2] - [0.0, np.pi / 2]),
+            np.full(len(seen_at), UNIDENTIFIED),
+            options=options,
+            truth=None if gps_path is None else _gps(gps_path),
+            truth_offset=ANTENNA,
+            start=mounted(START, (-ANTENNA[0], -ANTENNA[1])),
+            name="victoria-park",
+            notes=tuple(notes),
+            motion=MOTION,
+            sensor=SENSOR,
+        )
 
 
 def _gps(path: Path) -> Stream:

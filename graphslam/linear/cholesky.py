@@ -243,9 +243,13 @@ class Factor:
 
 
 def analyze(
-    indptr: NDArray[Any], indices: NDArray[Any], *, ordering: NDArray[Any] | None = None,
-    points: NDArray[Any] | None = None, check: bool = True,
-) -> Symbolic:  # fmt: skip
+    indptr: NDArray[Any],
+    indices: NDArray[Any],
+    *,
+    ordering: NDArray[Any] | None = None,
+    points: NDArray[Any] | None = None,
+    check: bool = True,
+) -> Symbolic:
     """Symbolic analysis of a symmetric positive definite matrix of 3x3 blocks.
 
     Args:

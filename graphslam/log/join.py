@@ -173,12 +173,18 @@ class Drive:
         remarks = [note for stream in self.streams.values() for note in (*stream.table.notes, *stream.notes)]
         doubts = self._covered() + [doubt for stream in self.streams.values() for doubt in stream.doubts]
         return synchronize(
-            **streams, landmarks=self.sightings.ids, options=reading,
+            **streams,
+            landmarks=self.sightings.ids,
+            options=reading,
             truth_offset=(0.0, 0.0) if self.truth_offset is None else checked_offset("truth_offset", self.truth_offset),
-            true_landmarks=self.landmarks, classes=self.sightings.classes, origin=origin / 1e9, name=name,
-            notes=(*self.notes, *remarks), doubts=tuple(doubts),
+            true_landmarks=self.landmarks,
+            classes=self.sightings.classes,
+            origin=origin / 1e9,
+            name=name,
+            notes=(*self.notes, *remarks),
+            doubts=tuple(doubts),
             sensor=None if self.sensor_offset is None else SensorModel(offset=self.sensor_offset),  # type: ignore[arg-type]
-        )  # fmt: skip
+        )
 
 
 def read_drive(
@@ -273,9 +279,18 @@ READERS = {"truth": truth_of, "relations": relations_of, "positions": positions_
 
 
 def from_tables(
-    odometry: Any, sightings: Any, *, truth: Any = None, map: Any = None, relations: Any = None, positions: Any = None,
-    name: str = "log", keep_every: float | None = None, options: TableOptions | None = None, **changes: Any,
-) -> Log:  # fmt: skip
+    odometry: Any,
+    sightings: Any,
+    *,
+    truth: Any = None,
+    map: Any = None,
+    relations: Any = None,
+    positions: Any = None,
+    name: str = "log",
+    keep_every: float | None = None,
+    options: TableOptions | None = None,
+    **changes: Any,
+) -> Log:
     """The log of tables that each have their own times, for example of CSV files of your own robot.
 
     A table is the path of a file (CSV, TSV, text, Parquet), a data frame of pandas or the like, a mapping of columns,

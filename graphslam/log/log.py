@@ -218,9 +218,12 @@ class Log:
     def __repr__(self) -> str:
         """One line: name, sizes, and what is known."""
         parts = {
-            "psi": self.has_orientation, "classes": self.classes is not None, "controls": self.controls is not None,
-            **dict.fromkeys(self.measured, True), "truth": self.true_poses is not None,
-        }  # fmt: skip
+            "psi": self.has_orientation,
+            "classes": self.classes is not None,
+            "controls": self.controls is not None,
+            **dict.fromkeys(self.measured, True),
+            "truth": self.true_poses is not None,
+        }
         known = ", ".join(part for part, present in parts.items() if present)
         return f"<Log {self.name}: {self.sizes}, with {known or 'neither psi nor controls nor truth'}>"
 

@@ -82,9 +82,14 @@ class Fault:
 
 
 def sound_rows(
-    total: int, noun: str, faults: Sequence[Fault], error: Callable[[int, str], LogError], *, strict: bool = False,
+    total: int,
+    noun: str,
+    faults: Sequence[Fault],
+    error: Callable[[int, str], LogError],
+    *,
+    strict: bool = False,
     source: str = "",
-) -> tuple[np.ndarray, tuple[str, ...]]:  # fmt: skip
+) -> tuple[np.ndarray, tuple[str, ...]]:
     """The rows (N,) bool of a table that can be, and notes on those that are left out.
 
     Args:

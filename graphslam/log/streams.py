@@ -200,12 +200,23 @@ UNUSED = 0.1
 
 
 def synchronize(
-    odometry: Stream, sightings: Stream, landmarks: np.ndarray, *, options: ReadOptions | None = None,
-    truth: Stream | None = None, relations: Stream | None = None, positions: Stream | None = None,
-    truth_offset: tuple[float, float] = (0.0, 0.0), true_landmarks: Mapping[int, Array] | None = None,
-    classes: ArrayLike | None = None, start: ArrayLike | None = None, origin: float = 0.0, name: str = "log",
-    notes: tuple[str, ...] = (), **models: Any,
-) -> Log:  # fmt: skip
+    odometry: Stream,
+    sightings: Stream,
+    landmarks: np.ndarray,
+    *,
+    options: ReadOptions | None = None,
+    truth: Stream | None = None,
+    relations: Stream | None = None,
+    positions: Stream | None = None,
+    truth_offset: tuple[float, float] = (0.0, 0.0),
+    true_landmarks: Mapping[int, Array] | None = None,
+    classes: ArrayLike | None = None,
+    start: ArrayLike | None = None,
+    origin: float = 0.0,
+    name: str = "log",
+    notes: tuple[str, ...] = (),
+    **models: Any,
+) -> Log:
     """The log of a robot whose odometry, sightings and ground truth have separate times.
 
     Args:
@@ -291,14 +302,26 @@ def synchronize(
         steps, ids, rows = steps[~alone], ids[~alone], rows[~alone]
         classes = None if classes is None else classes[~alone]
     return Log(
-        dt=dt, controls=controls, control_starts=starts, control_variances=variances, recorded_dt=recorded_dt,
-        steps=steps, landmarks=ids, sightings=rows, classes=classes,
+        dt=dt,
+        controls=controls,
+        control_starts=starts,
+        control_variances=variances,
+        recorded_dt=recorded_dt,
+        steps=steps,
+        landmarks=ids,
+        sightings=rows,
+        classes=classes,
         **{what: _READERS[what](stream, times) for what, stream in measured.items()},
-        initial_poses=MotionModel().dead_reckoning(start, controls, dt)[starts], true_poses=true_poses,
-        true_path=true_path, truth_offset=truth_offset,
-        true_landmarks=None if true_landmarks is None else {**true_landmarks}, start_time=origin + float(times[0]),
-        name=name, notes=tuple(remarks), **models,
-    )  # fmt: skip
+        initial_poses=MotionModel().dead_reckoning(start, controls, dt)[starts],
+        true_poses=true_poses,
+        true_path=true_path,
+        truth_offset=truth_offset,
+        true_landmarks=None if true_landmarks is None else {**true_landmarks},
+        start_time=origin + float(times[0]),
+        name=name,
+        notes=tuple(remarks),
+        **models,
+    )
 
 
 def _inside(what: str, odometry: Stream, remarks: list[str], *times: Array) -> np.ndarray:

@@ -5,6 +5,13 @@ from .clocks import ClockOffsets, clock_offsets
 from .drives import Sessions, from_logs, join_logs, join_robots, relations_of, with_common_noise
 
 __all__ = [
-    "ClockOffsets", "Graph", "Sessions", "clock_offsets", "from_logs", "join_logs", "join_robots", "relations_of",
+    "ClockOffsets",
+    "Graph",
+    "Sessions",
+    "clock_offsets",
+    "from_logs",
+    "join_logs",
+    "join_robots",
+    "relations_of",
     "with_common_noise",
-]  # fmt: skip
+]

@@ -109,9 +109,11 @@ class Drive:
         default_factory=lambda: {"wheel_scale": 1.02, "turn_rate_bias": 0.004, "sensor_delay": 0.03}
     )
     misread: float = option(
-        0.05, "Part of the sightings that have the id of another landmark, or one that does not exist", minimum=0,
+        0.05,
+        "Part of the sightings that have the id of another landmark, or one that does not exist",
+        minimum=0,
         below=1,
-    )  # fmt: skip
+    )
     clutter: float = option(0.0, "Part of the sightings that show no landmark", minimum=0, below=1)
     missed: float = option(0.15, "Probability that a visible landmark is not seen", minimum=0, below=1)
     correlated: float = option(

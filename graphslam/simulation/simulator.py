@@ -78,10 +78,16 @@ _PARAMETERS = {"speed": "wheel_scale", "turn rate": "turn_scale", "range": "rang
 
 
 def simulate(
-    world: World | None = None, *, motion_faults: MotionFaults | None = None, sensor_faults: SensorFaults | None = None,
-    motion: MotionModel | None = None, sensor: SensorModel | None = None, seed: int | np.random.Generator = 0,
-    name: str = "simulated", **options: Any,
-) -> Log:  # fmt: skip
+    world: World | None = None,
+    *,
+    motion_faults: MotionFaults | None = None,
+    sensor_faults: SensorFaults | None = None,
+    motion: MotionModel | None = None,
+    sensor: SensorModel | None = None,
+    seed: int | np.random.Generator = 0,
+    name: str = "simulated",
+    **options: Any,
+) -> Log:
     """Drive a robot through a world and return its log with the ground truth.
 
     Args:
@@ -133,11 +139,18 @@ def simulate(
         biases |= of_sensor
     columns = 3 if world.orientation else 2
     return Log(
-        simulated=True, dt=np.full(world.steps, float(world.dt)), controls=controls, steps=at[keep],
-        landmarks=seen[keep], sightings=sightings[keep, :columns],
-        initial_poses=motion.dead_reckoning(world.start, controls, world.dt), true_poses=poses,
-        true_landmarks={j: place[:columns] for j, place in enumerate(landmarks)}, name=name, notes=_note(biases),
-    )  # fmt: skip
+        simulated=True,
+        dt=np.full(world.steps, float(world.dt)),
+        controls=controls,
+        steps=at[keep],
+        landmarks=seen[keep],
+        sightings=sightings[keep, :columns],
+        initial_poses=motion.dead_reckoning(world.start, controls, world.dt),
+        true_poses=poses,
+        true_landmarks={j: place[:columns] for j, place in enumerate(landmarks)},
+        name=name,
+        notes=_note(biases),
+    )
 
 
 def _note(biases: dict[str, float]) -> tuple[str, ...]:

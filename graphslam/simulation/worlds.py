@@ -134,9 +134,14 @@ SENSOR = SensorModel.constant(0.1, 0.02)
 
 
 def simulate_single_numbers(
-    number: str, *, seed: int | np.random.Generator = 0, poses: int = 300, landmarks: int = 8, every: int = 2,
+    number: str,
+    *,
+    seed: int | np.random.Generator = 0,
+    poses: int = 300,
+    landmarks: int = 8,
+    every: int = 2,
     lanes: int = 6,
-) -> Log:  # fmt: skip
+) -> Log:
     """A robot that mows a square field in lanes, and measures the range or the bearing of one landmark after the other.
 
     The controls are the true motions with the noise of the motion model, and the initial poses are those of dead reckoning.

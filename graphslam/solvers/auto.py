@@ -266,9 +266,14 @@ def _with_turns(
 
 
 def _lower(
-    graph: Graph, run_from: Callable[..., Run], end: End,
-    lower_by: Callable[[Graph, Array, float], tuple[Array | None, int]], started: str, ends: list[End], effort: _Effort,
-) -> list[End]:  # fmt: skip
+    graph: Graph,
+    run_from: Callable[..., Run],
+    end: End,
+    lower_by: Callable[[Graph, Array, float], tuple[Array | None, int]],
+    started: str,
+    ends: list[End],
+    effort: _Effort,
+) -> list[End]:
     """The lower end that restarts lead to from a converged end.
 
     Beyond J of `DOUBTFUL` times the expected one, wrong sightings or noise models dominate, and restarts do not lower it.

@@ -88,9 +88,14 @@ def solve_gnc(graph: Graph, initialize: str, tolerance: float, *, max_rounds: in
         in_sightings[graph.sighting_rows] = of_edges
     partly = f"after max_iterations = {best.rounds} some measurements are trusted in part"
     return replace(
-        solution, converged=solution.converged and best.settled, reason=solution.reason if best.settled else partly,
-        seconds=time.perf_counter() - begin, notes=(*graph.notes, note), trust=in_sightings, other_trust=found,
-    )  # fmt: skip
+        solution,
+        converged=solution.converged and best.settled,
+        reason=solution.reason if best.settled else partly,
+        seconds=time.perf_counter() - begin,
+        notes=(*graph.notes, note),
+        trust=in_sightings,
+        other_trust=found,
+    )
 
 
 #: what the measurements of edges are called

@@ -188,9 +188,14 @@ WAIT, WAIT_INSIDE = 12, 10
 
 
 def solve_with_gtsam(
-    graph: Graph, *, tolerance: float = 1e-9, max_iterations: int = 100, initialize: str = "auto",
-    factors: str = "fastest", range_noise: str = "auto",
-) -> Solution:  # fmt: skip
+    graph: Graph,
+    *,
+    tolerance: float = 1e-9,
+    max_iterations: int = 100,
+    initialize: str = "auto",
+    factors: str = "fastest",
+    range_noise: str = "auto",
+) -> Solution:
     """Minimise the cost J of a graph with GTSAM's Levenberg-Marquardt on the custom factors.
 
     GTSAM's noise models are fixed. Where the information depends on the state (``frame="world"``, or no psi) an outer

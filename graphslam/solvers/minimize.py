@@ -183,9 +183,15 @@ def at_estimated_ranges(
 
 
 def minimize(
-    graph: Graph, initialize: str, tolerance: float, *, method: str = "gauss-newton", max_iterations: int = 100,
-    callback: Callable[[Iteration], None] | None = None, cost_tolerance: float = 0.0,
-) -> Solution:  # fmt: skip
+    graph: Graph,
+    initialize: str,
+    tolerance: float,
+    *,
+    method: str = "gauss-newton",
+    max_iterations: int = 100,
+    callback: Callable[[Iteration], None] | None = None,
+    cost_tolerance: float = 0.0,
+) -> Solution:
     """Minimise J by Gauss-Newton or Levenberg-Marquardt; arguments and errors as of `solve`, which checks them."""
     begin, cost, certificate = time.perf_counter(), None, None
 

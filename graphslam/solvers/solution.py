@@ -386,9 +386,15 @@ def misfit_of_noise(cost: float, expected: float) -> str:
 
 
 def make_solution(
-    graph: Graph, run: Run, solver: str, seconds: float, *, notes: tuple[str, ...] = (), cost: float | None = None,
+    graph: Graph,
+    run: Run,
+    solver: str,
+    seconds: float,
+    *,
+    notes: tuple[str, ...] = (),
+    cost: float | None = None,
     certificate: Certificate | None = None,
-) -> Solution:  # fmt: skip
+) -> Solution:
     """The `Solution` of a graph from the run of a solver.
 
     Its ``cost`` and ``certificate`` are taken over where the solver knows them.

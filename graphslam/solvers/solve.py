@@ -26,10 +26,17 @@ GNC = "gnc"
 
 
 def solve(
-    graph: Graph, *, method: str = "gauss-newton", tolerance: float = 1e-9, max_iterations: int = 100,
-    initialize: str = "auto", callback: Callable[[Iteration], None] | None = None, cost_tolerance: float = 0.0,
-    probability: float = 0.99, range_noise: str = "auto",
-) -> Solution:  # fmt: skip
+    graph: Graph,
+    *,
+    method: str = "gauss-newton",
+    tolerance: float = 1e-9,
+    max_iterations: int = 100,
+    initialize: str = "auto",
+    callback: Callable[[Iteration], None] | None = None,
+    cost_tolerance: float = 0.0,
+    probability: float = 0.99,
+    range_noise: str = "auto",
+) -> Solution:
     """Minimise the cost J of a graph by the Omega/xi iteration.
 
     Args:

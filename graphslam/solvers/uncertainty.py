@@ -252,9 +252,11 @@ def doubts(graph: Graph, state: Array, uncertainty: Uncertainty) -> str:
     parameters = graph.estimated
     deviations = np.sqrt(np.diag(uncertainty.of_parameters))
     found = (
-        doubt_of_scale(parameters, deviations), doubt_of_turns(graph, state, uncertainty),
-        doubt_of_delay(parameters, deviations, uncertainty), doubt_of_squares(parameters, deviations, uncertainty),
-    )  # fmt: skip
+        doubt_of_scale(parameters, deviations),
+        doubt_of_turns(graph, state, uncertainty),
+        doubt_of_delay(parameters, deviations, uncertainty),
+        doubt_of_squares(parameters, deviations, uncertainty),
+    )
     return ". ".join(each for each in found if each)
 
 

@@ -34,9 +34,13 @@ MOST, ROUNDS = 6000, 12
 
 
 def estimate_robot(
-    log: Log, *, sensor: SensorModel | None = None, given: tuple[MotionModel, SensorModel] | None = None, seed: int = 0,
+    log: Log,
+    *,
+    sensor: SensorModel | None = None,
+    given: tuple[MotionModel, SensorModel] | None = None,
+    seed: int = 0,
     single_landmarks: bool = True,
-) -> RobotEstimate:  # fmt: skip
+) -> RobotEstimate:
     """Estimate noise, biases and misread ids of a log from nothing but its odometry and its sightings.
 
     From whole sightings, the estimate is compared with dead reckoning and with the noise of the book: which predicts
