@@ -14,8 +14,6 @@ Modules are imported when a name is first used, so that ``slam-compare --help`` 
 
 # ruff: noqa: F401
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import TYPE_CHECKING
 

@@ -25,8 +25,7 @@ from .estimators import ESTIMATORS, check_estimators, default_estimators
 from .estimators.attempt import Skipped, attempts
 from .estimators.config import config_text
 from .estimators.filters import Announce, announce_memory
-from .options import AUTO, DOUBTFUL, MODELS, LimitOptions, OutputOptions, RunOptions
-from .options.declaration import options_of
+from .options import AUTO, DOUBTFUL, MODELS, LimitOptions, OutputOptions, RunOptions, options_of
 from .options.reading import LogOrPath, prepare
 from .options.toml_files import write_noise
 from .results import Displayed, EstimatorResult, noted, typical_costs
@@ -53,9 +52,7 @@ class ResultTable(Displayed, Sequence[Row]):
     @overload
     def __getitem__(self, index: slice) -> tuple[Row, ...]: ...
     def __getitem__(self, index: int | str | slice) -> Row | tuple[Row, ...]:
-        if isinstance(index, str):
-            return {row.name: row for row in self.rows}[index]
-        return self.rows[index]
+        return {row.name: row for row in self.rows}[index] if isinstance(index, str) else self.rows[index]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -190,9 +187,7 @@ class Comparison(Displayed):
             return None
         a, b = self[first], self[second]
         both = a.estimated & b.estimated
-        if not both.any():
-            return None
-        return float(np.max(np.abs(difference(a.poses[both], b.poses[both]))))
+        return float(np.max(np.abs(difference(a.poses[both], b.poses[both])))) if both.any() else None
 
     def notes_of(self, result: EstimatorResult) -> tuple[str, ...]:
         """The notes of a result, with the reason where its NEES is not known because its covariances are not."""

@@ -21,8 +21,7 @@ from graphslam.graph.pose_graph import is_pose_graph
 from graphslam.io import mrclam
 from graphslam.io.formats import FORMATS
 
-from .results import Displayed
-from .results.documents import Count, describe
+from .results import Count, Displayed, describe
 
 #: how many levels of folders are searched, and the size from which on files are not opened for recognition [bytes]
 DEPTH, LARGEST = 3, 200_000_000

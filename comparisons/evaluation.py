@@ -34,8 +34,7 @@ from graphslam.maps.map_files import COVARIANCE, UPPER
 from graphslam.se2 import Array, compose, transform
 
 from .options import EvaluationOptions
-from .results import Displayed
-from .results.documents import Count, jsonable
+from .results import Count, Displayed, jsonable
 
 #: times that differ by at most this are the same [ns]: those since 1970 are rounded in other programs
 ROUNDED = 1_000
@@ -160,9 +159,8 @@ def evaluate(truth: str | PathLike[str], *estimates: str | PathLike[str], **opti
     if not estimates:
         raise OptionError("name at least one estimate after the ground truth: evaluate TRUTH ESTIMATE ...")
     if given.maps and len(given.maps) != len(estimates):
-        raise OptionError(
-            f"there are {len(given.maps)} maps for {len(estimates)} estimates; name one for each, - for none"
-        )
+        message = f"there are {len(given.maps)} maps for {len(estimates)} estimates; name one for each, - for none"
+        raise OptionError(message)
     right, true_map = _truth(path_of(truth), _table_options(given, "truth"))
     tables = _table_options(given, ESTIMATES)
     if given.true_map is not None:
@@ -209,9 +207,8 @@ def read_trajectory(path: Path, name: str, options: TableOptions) -> Trajectory:
     covariances = None
     if "var_x" in columns and all(each in columns for each in COVARIANCE):
         if any(unit in each for each in timed.columns for unit in ("[cm]", "[mm]", "[degrees]")):
-            raise table.error(
-                None, "poses with covariances must be in metres and radians, the units of the covariances"
-            )
+            message = "poses with covariances must be in metres and radians, the units of the covariances"
+            raise table.error(None, message)
         if len(timed.times) != len(table) or np.any(np.diff(timed.times) <= 0):
             raise table.error(None, "rows with covariances must be in the order of time, and each needs a pose")
         covariances = symmetric(table.numbers([columns[each] for each in COVARIANCE]), UPPER)
@@ -253,9 +250,8 @@ def _of_archive(path: Path, name: str) -> Trajectory:
     arrays = read_archive(path, "a trajectory")
     if not {"times", "poses"} <= arrays.keys():
         which = f"it is a log; {SOLVED}" if "steps" in arrays else f"it has {named(arrays) or 'nothing'}"
-        raise FormatError(
-            path, None, f"a trajectory in .npz has the arrays times [s] and poses (x, y, theta), and {which}"
-        )
+        message = f"a trajectory in .npz has the arrays times [s] and poses (x, y, theta), and {which}"
+        raise FormatError(path, None, message)
     times = np.round(finite_floats("times", arrays["times"], (None,)) * 1e9).astype(np.int64)
     poses = finite_floats("poses", arrays["poses"], (len(times), 3))
     covariances = arrays.get("covariances")

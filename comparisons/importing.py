@@ -29,8 +29,7 @@ from graphslam.se2 import Array
 
 from .options import ImportOptions, ReadingOptions
 from .options.reading import read_log
-from .results import Displayed
-from .results.documents import Count, LogDocument, Numbers, describe, one_of
+from .results import Count, Displayed, LogDocument, Numbers, describe, one_of
 from .results.files import elapsed_of
 
 #: what a table or topic holds
@@ -157,9 +156,8 @@ def import_log(source: str | PathLike[str] | None = None, **options: Any) -> Imp
             return replace(found, reason=str(error))
     if not source.is_dir():
         check_unpacked(source, first_bytes(source))
-        raise FormatError(
-            source, None, "this is no bag; give the folder of tables, or the file of each: --odometry .. --sightings .."
-        )
+        message = "this is no bag; give the folder of tables, or the file of each: --odometry .. --sightings .."
+        raise FormatError(source, None, message)
     recipe = _with_places(merged(recipe or recipe_if_any(source / RECIPE), changes), named)
     return _made(Import(source), drive_of(source, recipe), reading, source.resolve().name)
 
@@ -183,8 +181,7 @@ def _with_places(recipe: Recipe, named: dict[str, str]) -> Recipe:
 
 def _stream(kind: str, stream: Timed) -> FoundStream:
     begin, end = stream.times[0] / 1e9, stream.times[-1] / 1e9
-    different = 1 + int(np.count_nonzero(np.diff(stream.times)))
-    rate = (different - 1) / (end - begin) if end > begin else None
+    rate = np.count_nonzero(np.diff(stream.times)) / (end - begin) if end > begin else None
     return FoundStream(kind, stream.table.source, len(stream.times), begin, end, rate, stream.columns)
 
 

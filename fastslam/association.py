@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
 from graphslam.association import Association, AssociationOptions, associate_from, known_noise
-from graphslam.association.associate import Begin, Start
+from graphslam.association.associate import Begin, Start, Starts
 from graphslam.errors.checks import check_known, check_type
 from graphslam.identification.known import unknown_noise
 from graphslam.log import UNIDENTIFIED, Log, check_is_log
@@ -27,8 +27,7 @@ LONG = 4_000
 
 def associate(
     log: Log, *, motion: MotionModel | None = None, sensor: SensorModel | None = None,
-    options: AssociationOptions | None = None, filters: FilterOptions | None = None,
-    start: Start | Begin | Sequence[Start | Begin | None] | None = None,
+    options: AssociationOptions | None = None, filters: FilterOptions | None = None, start: Starts = None,
     estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[str] | None = None, **changes: Any,
 ) -> Association:  # fmt: skip
     """Find out which sightings are of the same landmark, from the log alone.
@@ -116,5 +115,4 @@ def _filtered(log: Log, filters: FilterOptions, motion: MotionModel, sensor: Sen
     # association knows no positions, and its start need not be in their frame
     result = FastSLAM2(log.replace(positions=None), options=filters, motion=motion, sensor=sensor).run()
     assert result.association is not None and result.unconfirmed is not None
-    lost = (result.association == UNIDENTIFIED) | result.unconfirmed
-    return np.where(lost, -1, result.association), result.poses
+    return np.where((result.association == UNIDENTIFIED) | result.unconfirmed, -1, result.association), result.poses

@@ -18,8 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from graphslam.log import Log
-from graphslam.models import MotionModel, SensorModel
+from graphslam import Log, MotionModel, SensorModel
 from graphslam.se2 import Array, between, difference, wrap
 
 from .particles import FilterResult

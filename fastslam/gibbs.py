@@ -19,14 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphslam import Cauchy, Graph, GraphError, solve
+from graphslam import Cauchy, Graph, GraphError, MotionModel, SensorModel, solve
 from graphslam.edges.relative import DoubtedPointEdges, RelationEdges, RelativePoseEdges
 from graphslam.engine import engine
-from graphslam.errors import LogError, OptionError, quoted
-from graphslam.errors.checks import check_known
+from graphslam.errors import LogError, OptionError, checks, quoted
 from graphslam.linear.cholesky import FactorizationError
 from graphslam.log import Log, check_is_log
-from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, difference, wrap
 
 from .filters import FastSLAM2
@@ -308,7 +306,7 @@ class ParticleGibbs:
     ) -> None:  # fmt: skip
         check_is_log(log)
         log.warn_of_unused("particle Gibbs")
-        check_known("ParticleGibbs", keywords, [field.name for field in fields(GibbsOptions)])
+        checks.check_known("ParticleGibbs", keywords, [field.name for field in fields(GibbsOptions)])
         self.options = replace(options or GibbsOptions(), **keywords)
         if not log.identified:
             raise OptionError(
@@ -343,8 +341,7 @@ class ParticleGibbs:
         generators = [np.random.default_rng(s) for s in self._seeds[1::2]]
         with ThreadPoolExecutor(min(o.chains, self._threads or o.chains)) as pool:
             poses = list(pool.map(_start, self._filters, generators))
-            target = Target.of(problem, o)
-            marks = target.in_engine.draw_map(poses[0], draw_key(generators[0]))
+            marks = Target.of(problem, o).in_engine.draw_map(poses[0], draw_key(generators[0]))
             chains = [
                 engine.GibbsChain(draw_key(rng), x, problem.motions_of(x[None]))
                 for rng, x in zip(generators, poses, strict=True)

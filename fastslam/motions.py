@@ -23,14 +23,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphslam import Graph, solve
+from graphslam import AbsolutePositions, Graph, GraphError, LandmarkMap, Log, OptionError, solve
 from graphslam.edges import AnchorEdges
 from graphslam.engine import available_threads, engine
-from graphslam.errors import GraphError, OptionError
 from graphslam.errors.checks import finite_numbers
-from graphslam.log import Log
-from graphslam.log.measurements import AbsolutePositions
-from graphslam.maps.landmark_map import LandmarkMap
 from graphslam.maps.localization import SURE, Fix, first_fix
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, between, difference, mounted, perpendicular, transform, wrap
@@ -129,9 +125,8 @@ class Sightings:
         """
         indices = (np.ascontiguousarray(numbers, dtype=np.int64) for numbers in (self.first, self.marks))
         sightings = np.hstack([self.y, self.C, weights, self.z, self.q])
-        return engine.GibbsProblem(
-            np.hstack([motions, information]), *indices, sightings, len(self.ids), self.columns, exact, degrees
-        )
+        moved = np.hstack([motions, information])
+        return engine.GibbsProblem(moved, *indices, sightings, len(self.ids), self.columns, exact, degrees)
 
     def linearised_at(self, trajectories: Array, maps: Array) -> Self:
         """Return the same problem, linearised at the mean relative places of samples (S, T + 1, 3) and (S, J, 3)."""

@@ -19,16 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphslam.errors import OptionError, quoted
-from graphslam.errors.checks import (
-    check_number,
-    check_options,
-    check_turn_rate,
-    checked_covariance,
-    checked_pose,
-    finite_numbers,
-    option,
-)
+from graphslam.errors import OptionError, checks, quoted
+from graphslam.errors.checks import option
 from graphslam.log import Log
 from graphslam.log.measurements import AbsolutePositions, checked_sightings
 from graphslam.log.rows import NO_ID, UNIDENTIFIED
@@ -113,7 +105,7 @@ class FilterOptions:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        check_options(self)
+        checks.check_options(self)
         if self.smoothing != 0 and self.smoothing < FEWEST_SMOOTHED:
             least = f"at least {FEWEST_SMOOTHED} trajectories"
             raise OptionError(f"smoothing must be 0 (off) or {least}, not {self.smoothing}")
@@ -127,9 +119,8 @@ class FilterOptions:
 
     def for_ids(self, identified: bool) -> FilterOptions:
         """These options with the association that auto stands for where sightings have ids or, else, have none."""
-        if self.association != "auto":
-            return self
-        return replace(self, association="known" if identified else WITHOUT_IDS)
+        chosen = "known" if identified else WITHOUT_IDS
+        return replace(self, association=chosen) if self.association == "auto" else self
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +140,7 @@ class FrontEndOptions:
     front_particles: int = option(30, "Particles of the front end fastslam2.", minimum=1)
 
     def __post_init__(self) -> None:
-        check_options(self)
+        checks.check_options(self)
 
 
 #: the density of the sightings that particle Gibbs samples
@@ -179,7 +170,7 @@ class GibbsOptions:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        check_options(self)
+        checks.check_options(self)
 
 
 #: bytes of poses, weights and buffers; of one pose of a history; of the history's index of one landmark
@@ -246,8 +237,7 @@ def check_one_drive(name: str, log: Log, *, is_class: bool = False) -> None:
     others = "graph, gtsam and isam2 solve them together"
     if is_class:
         others = "FastSLAM2 finds the robot where the next one begins, and solve takes them together"
-    these = f"these are {len(log.sessions)} logs"
-    raise OptionError(f"{name} follows one robot from its start, and {these}; {others}")
+    raise OptionError(f"{name} follows one robot from its start, and these are {len(log.sessions)} logs; {others}")
 
 
 def check_memory(log: Log, options: FilterOptions, *, maps: bool) -> None:
@@ -329,9 +319,9 @@ def check_motion(step: int, way: float, turn: float) -> None:
 
 def checked_control(control: Any, dt: Any) -> tuple[Array, float]:
     """Return a control (nu, omega) and its time [s], or raise `OptionError`."""
-    u = finite_numbers("control", control, (2,))
-    check_turn_rate(float(u[1]))
-    check_number(dt=dt)
+    u = checks.finite_numbers("control", control, (2,))
+    checks.check_turn_rate(float(u[1]))
+    checks.check_number(dt=dt)
     if dt < 0:
         raise OptionError(f"dt must be 0 s or longer, not {quoted(dt)}")
     return u, float(dt)
@@ -339,7 +329,7 @@ def checked_control(control: Any, dt: Any) -> tuple[Array, float]:
 
 def checked_motion(motion: Any, covariance: Any) -> tuple[Array, Array]:
     """Return a motion (1, 3) and its covariance (1, 3, 3), or raise `OptionError`."""
-    z, P = checked_pose("motion", motion), finite_numbers("covariance", covariance, (3, 3))
+    z, P = checks.checked_pose("motion", motion), checks.finite_numbers("covariance", covariance, (3, 3))
     if not np.allclose(P, P.T) or np.linalg.eigvalsh(P)[0] < -1e-12 * np.abs(P).max():
         raise OptionError(f"covariance must be symmetric positive semidefinite, not {quoted(covariance)}")
     return z[None], P[None]
@@ -347,8 +337,8 @@ def checked_motion(motion: Any, covariance: Any) -> tuple[Array, Array]:
 
 def one_position(position: Any, covariance: Any, lever: Any) -> AbsolutePositions:
     """A position (x, y) or (x, y, theta) as the only row of positions, or `OptionError`."""
-    place, arm = finite_numbers("position", position, (2,), (3,)), finite_numbers("lever", lever, (2,))
+    place, arm = checks.finite_numbers("position", position, (2,), (3,)), checks.finite_numbers("lever", lever, (2,))
     return AbsolutePositions(
-        steps=np.zeros(1, dtype=np.int64), places=place[None], covariances=checked_covariance(covariance, len(place)),
+        steps=np.zeros(1, dtype=np.int64), places=place[None], covariances=checks.checked_covariance(covariance, len(place)),
         levers=arm,
     )  # fmt: skip

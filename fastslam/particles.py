@@ -26,10 +26,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from graphslam import LandmarkMap, MotionModel, OptionError, SensorModel
 from graphslam.engine import engine
-from graphslam.errors import OptionError
-from graphslam.maps.landmark_map import LandmarkMap
-from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, difference, wrap
 from graphslam.solvers.uncertainty import ids_of, shaped, split
 
@@ -103,8 +101,7 @@ class Samples:
     @cached_property
     def landmarks(self) -> dict[int, Array]:
         """The mean map, {id: (n,)}."""
-        means = _mean(self.maps.reshape(-1, *self.maps.shape[2:]))
-        return dict(zip(self.ids.tolist(), means, strict=True))
+        return dict(zip(self.ids.tolist(), _mean(self.maps.reshape(-1, *self.maps.shape[2:])), strict=True))
 
     @cached_property
     def landmark_covariances(self) -> dict[int, Array]:
@@ -287,8 +284,7 @@ class FilterResult:
         of the best particle, with covariances over all particles, which are too small where histories have run out.
         """
         made = self if self.smoothed is None else self.smoothed
-        known = {j: C for j, C in made.landmark_covariances.items() if np.any(C)}
-        return LandmarkMap(made.landmarks, known)
+        return LandmarkMap(made.landmarks, {j: C for j, C in made.landmark_covariances.items() if np.any(C)})
 
     def __repr__(self) -> str:
         drawn = "" if self.smoothed is None else f", {self.smoothed.trajectories.shape[1]} trajectories drawn backwards"
@@ -339,8 +335,7 @@ def residual(weights: Array, rng: np.random.Generator) -> np.ndarray:
     expected = count * weights / weights.sum()
     # the tolerance keeps rounding errors from losing a copy where N w_i is a whole number
     copies = np.floor(expected * (1 + 1e-12)).astype(np.int64)
-    rest = count - int(copies.sum())
-    if rest > 0:
+    if (rest := count - int(copies.sum())) > 0:
         extra = engine.at_positions(np.cumsum(np.maximum(expected - copies, 0.0)), np.sort(rng.random(rest)))
         copies += np.bincount(extra, minlength=count)
     return np.repeat(np.arange(count), copies)

@@ -17,10 +17,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphslam.errors import LogError
+from graphslam import Log, LogError, MotionModel, SensorModel
 from graphslam.errors.checks import check_choice
-from graphslam.log import Log
-from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
 
 from .options import PROPOSAL_WEIGHTS

@@ -22,6 +22,8 @@ from numpy.typing import ArrayLike
 from .errors import OptionError
 from .se2 import Array, between, compose, difference, inverse, transform, turn_matrix, wrap
 
+#: a map: the position (2,) or (3,) of each landmark [m], by id; a heading does not count
+Landmarks = Mapping[int, ArrayLike]
 #: see `exchanged`
 EXCHANGED = 3.0
 
@@ -171,7 +173,7 @@ def alignment_of(
     true_poses: Array | None,
     true_landmarks: Mapping[int, Array] | None,
     poses: Array,
-    landmarks: Mapping[int, ArrayLike],
+    landmarks: Landmarks,
     *,
     mask: ArrayLike | None = None,
     named: bool = True,
@@ -201,9 +203,7 @@ def alignment_of(
     return align(_positions(true_landmarks, shared), _positions(landmarks, shared)), "landmarks"
 
 
-def landmark_errors(
-    truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], alignment: ArrayLike
-) -> dict[int, float]:
+def landmark_errors(truth: Landmarks, estimate: Landmarks, alignment: ArrayLike) -> dict[int, float]:
     """The error |A m_j - M_j| [m] of each landmark that both maps have, {id: error}; see `landmark_rmse`."""
     shared = sorted(truth.keys() & estimate.keys())
     if not shared:
@@ -212,9 +212,7 @@ def landmark_errors(
     return dict(zip(shared, np.hypot(errors[:, 0], errors[:, 1]).tolist()))
 
 
-def exchanged(
-    truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], alignment: ArrayLike
-) -> list[tuple[int, int]]:
+def exchanged(truth: Landmarks, estimate: Landmarks, alignment: ArrayLike) -> list[tuple[int, int]]:
     """Pairs of landmarks that lie where the truth puts the other one: the ids of the two may have been exchanged.
 
     Each of the two is at least `EXCHANGED` times as far from its own true position as from that of the other.
@@ -227,13 +225,10 @@ def exchanged(
     off = transform(alignment, _positions(estimate, worst))[:, None] - _positions(truth, worst)
     distance = np.hypot(off[..., 0], off[..., 1])
     better = np.diag(distance)[:, None] > EXCHANGED * distance
-    pairs = np.argwhere(np.triu(better & better.T, 1)).tolist()
-    return [(worst[a], worst[b]) for a, b in pairs]
+    return [(worst[a], worst[b]) for a, b in np.argwhere(np.triu(better & better.T, 1)).tolist()]
 
 
-def landmark_rmse(
-    truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], alignment: ArrayLike
-) -> float | None:
+def landmark_rmse(truth: Landmarks, estimate: Landmarks, alignment: ArrayLike) -> float | None:
     """The error of a map [m]: sqrt(mean over j of |A m_j - M_j|²) over the landmarks that both maps have.
 
     A is the alignment of the **trajectory** (`align` on the poses) wherever that is known: a map that is correct in
@@ -244,9 +239,7 @@ def landmark_rmse(
     return float(np.sqrt(np.mean(np.square(errors)))) if errors else None
 
 
-def named_by_place(
-    truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], alignment: ArrayLike
-) -> dict[int, ArrayLike]:
+def named_by_place(truth: Landmarks, estimate: Landmarks, alignment: ArrayLike) -> dict[int, ArrayLike]:
     """An estimated map with arbitrary ids, renamed by those of the ground truth that it matches best by position.
 
     The matching minimises the sum of |A m_k - M_j|, where A is the alignment of the trajectory, as in `landmark_rmse`.
@@ -259,18 +252,15 @@ def named_by_place(
     return {j: estimate[k] for j, k, _ in pairs}
 
 
-def matched_places(
-    truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], cutoff: float
-) -> list[tuple[int, int]]:
+def matched_places(truth: Landmarks, estimate: Landmarks, cutoff: float) -> list[tuple[int, int]]:
     """The pairs (true id, id) of landmarks nearer than the cutoff [m] that `gospa` counts; maps in one frame, any ids."""
     pairs = _matched(truth, estimate, lambda off: np.minimum(np.sum(off**2, axis=2), cutoff**2))
     return sorted((j, k) for j, k, square in pairs if square < cutoff**2)
 
 
 def _matched(
-    truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], cost: Callable[[Array], Array],
-    alignment: ArrayLike = (0.0, 0.0, 0.0),
-) -> list[tuple[int, int, float]]:  # fmt: skip
+    truth: Landmarks, estimate: Landmarks, cost: Callable[[Array], Array], alignment: ArrayLike = (0.0, 0.0, 0.0)
+) -> list[tuple[int, int, float]]:
     """The pairs (true id, id, cost) of two maps with the least sum of costs, which are of the offsets (L, J, 2)."""
     from scipy.optimize import linear_sum_assignment
 
@@ -281,7 +271,7 @@ def _matched(
     return [(ids[c], numbers[r], float(costs[r, c])) for r, c in zip(*linear_sum_assignment(costs))]
 
 
-def gospa(truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], cutoff: float) -> float:
+def gospa(truth: Landmarks, estimate: Landmarks, cutoff: float) -> float:
     """The GOSPA distance [m] of two maps in one frame, with the exponents p = 2 and alpha = 2.
 
         sqrt( min over pairs of  sum of |m_k - M_j|² + c²/2 (landmarks of both maps without a partner) )
@@ -338,7 +328,7 @@ def evaluate(
     true_poses: Array | None,
     true_landmarks: Mapping[int, Array] | None,
     poses: Array,
-    landmarks: Mapping[int, ArrayLike],
+    landmarks: Landmarks,
     *,
     mask: ArrayLike | None = None,
     named: bool = True,
@@ -374,7 +364,7 @@ def evaluate(
     )
 
 
-def _positions(places: Mapping[int, ArrayLike], ids: list[int]) -> Array:
+def _positions(places: Landmarks, ids: list[int]) -> Array:
     return np.array([np.asarray(places[j], dtype=float)[:2] for j in ids])
 
 

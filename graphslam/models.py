@@ -347,9 +347,8 @@ class SensorModel(NoiseModel):
             check_positive(range_std=self.range_std)
         object.__setattr__(self, "offset", checked_offset("offset", self.offset))
         if not 0 <= self.min_range < self.max_range:
-            raise OptionError(
-                f"min_range must lie between 0 and max_range ({self.max_range:g} m), not {quoted(self.min_range)}"
-            )
+            message = f"min_range must lie between 0 and max_range ({self.max_range:g} m), not {quoted(self.min_range)}"
+            raise OptionError(message)
         if not 0 < self.field_of_view <= 2 * pi:
             raise OptionError(f"field_of_view must be positive and at most 2 pi, not {quoted(self.field_of_view)}")
 

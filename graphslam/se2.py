@@ -102,9 +102,7 @@ def transform(pose: ArrayLike, point: ArrayLike) -> Array:
 def mounted(pose: ArrayLike, offset: tuple[float, float]) -> Array:
     """The pose of what is mounted at o = (ahead, left) [m] of a pose, (p + R(theta) o, theta); (..., 3)."""
     pose = np.asarray(pose, dtype=float)
-    if offset == (0.0, 0.0):
-        return pose
-    return np.concatenate([transform(pose, offset), pose[..., 2:]], axis=-1)
+    return pose if offset == (0.0, 0.0) else np.concatenate([transform(pose, offset), pose[..., 2:]], axis=-1)
 
 
 def compose(a: ArrayLike, b: ArrayLike) -> Array:

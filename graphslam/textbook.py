@@ -16,8 +16,7 @@ from math import cos, pi, sin
 
 import numpy as np
 
-from .errors import GraphError, OptionError, quoted
-from .errors.checks import check_choice, check_not_negative
+from .errors import GraphError, OptionError, checks, quoted
 from .linear.precision import check_magnitudes
 from .log import Log, check_is_log
 from .models import MotionModel, SensorModel
@@ -94,11 +93,11 @@ def solve(
         OptionError: an option has an impossible value.
     """
     check_is_log(log)
-    check_choice("edges", edges, THRESHOLDS)
+    checks.check_choice("edges", edges, THRESHOLDS)
     log.warn_of_unused("the lectures' program")
     patience = PATIENCE if threshold is None else max_iterations
     threshold = THRESHOLDS[edges] if threshold is None else threshold
-    check_not_negative(threshold=threshold)
+    checks.check_not_negative(threshold=threshold)
     d = dimensions or log.sightings.shape[1]
     if d not in (2, 3) or d > log.sightings.shape[1]:
         raise OptionError(f"dimensions must be 2 or 3 and not more than the log has, not {quoted(dimensions)}")

@@ -53,10 +53,8 @@ def simulate(
 
 
 def calibrate(
-    output: Output,
-    log: LogFile = None,
-    others: Annotated[list[Path] | None, argument("LOG ...", "More logs of the same kind of robot.")] = None,
-    *,
+    output: Output, log: LogFile = None,
+    others: Annotated[list[Path] | None, argument("LOG ...", "More logs of the same kind of robot.")] = None, *,
     options: declared.CalibrationOptions,
     out: Annotated[Path | None, typer.Option(
         metavar="FILE", help="Write the noise models there (TOML), for run --noise.", rich_help_panel=declared.OUTPUT,
@@ -233,14 +231,12 @@ def solvers(output: Output, log: LogFile = None, *, options: declared.SolverChec
 
     with output.bar("variants") as advance:
 
-        def progress(variant: VariantResult | SkippedVariant) -> None:
-            advance(1, variant.name)
+        def progress(each: VariantResult | SkippedVariant) -> None:
+            advance(1, each.name)
             # those that are left out stand below the table
-            if not isinstance(variant, SkippedVariant):
+            if not isinstance(each, SkippedVariant):
                 # GTSAM calls factors in Python, which takes almost all of the time
-                output.progress(
-                    f"{variant.name}: graphslam {variant.seconds:.2g} s, gtsam {variant.gtsam_seconds:.2g} s"
-                )
+                output.progress(f"{each.name}: graphslam {each.seconds:.2g} s, gtsam {each.gtsam_seconds:.2g} s")
 
         outcome = compare_solvers(log, progress=progress, **options.keywords())
     output.show(outcome)

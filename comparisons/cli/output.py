@@ -78,9 +78,8 @@ def sentences(verbose: bool, options: Collection[str] | None = None, lang: str |
 
 def _wrapped(text: str) -> str:
     """A sentence in lines of the terminal's width, broken only between words."""
-    return textwrap.fill(
-        text, shutil.get_terminal_size().columns, break_long_words=False, break_on_hyphens=False, subsequent_indent="  "
-    )
+    width = shutil.get_terminal_size().columns
+    return textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False, subsequent_indent="  ")
 
 
 def _spoken(lang: str | None, stream: Any) -> str:
@@ -321,8 +320,7 @@ def _names() -> tuple[frozenset[str], frozenset[str]]:
     # options are not imported until a sentence needs them, so that help is shown at once
     from graphslam.log.rows import TableOptions
 
-    from ..options import RunOptions
-    from ..options.declaration import options_of
+    from ..options import RunOptions, options_of
 
     return frozenset(options_of(TableOptions)), frozenset(options_of(RunOptions))
 

@@ -95,8 +95,7 @@ def _noise_advice(outcome: Comparison, log: Path | None, options: declared.RunOp
     """The command that finds better noise models, where those of the book do not fit a log in which nothing is suspicious."""
     from graphslam.identification.robot import FEWEST
 
-    from ..options import DOUBTFUL, ReadingOptions
-    from ..options.declaration import options_of
+    from ..options import DOUBTFUL, ReadingOptions, options_of
 
     fits = outcome.noise_ratio is None or 1 / DOUBTFUL <= outcome.noise_ratio[1] <= DOUBTFUL
     of_book = set(outcome.noise_source.values()) == {"book"}
@@ -146,14 +145,17 @@ def report(
 
 def animate(
     output: Output,
-    words: Annotated[list[str], argument(
-        "[LOG] OUT",
-        "The log (default: the sample log of the package), and the animation: .gif, .mp4 (needs ffmpeg) or .html.",
-    )],
+    words: Annotated[
+        list[str],
+        argument(
+            "[LOG] OUT",
+            "The log (default: the sample log of the package), and the animation: .gif, .mp4 (needs ffmpeg) or .html.",
+        ),
+    ],
     *,
     animation: declared.AnimationOptions,
     options: declared.RunOptions,
-) -> None:  # fmt: skip
+) -> None:
     """Animate an estimator: a graph as it is solved, particles and their maps, ISAM2 as the robot drives, sampled paths.
 
     Examples:
@@ -271,9 +273,8 @@ def consistency(output: Output, *, options: declared.ConsistencyOptions, drawing
         outcome = study_consistency(progress=lambda _: advance(1), **options.keywords())
     output.result(outcome, drawing.figure)
     if options.noise == ConsistencyOptions().noise:
-        output.hint(
-            f"The effect of the models' curvature: {command('consistency', options=replace(options, noise=0.5))}"
-        )
+        noisier = command("consistency", options=replace(options, noise=0.5))
+        output.hint(f"The effect of the models' curvature: {noisier}")
 
 
 def sweep(
@@ -294,9 +295,8 @@ def sweep(
     from ..studies.sweep import sweep as execute
 
     with output.bar("runs") as advance:
-        outcome = execute(
-            study, progress=_progress_of_study(advance, output), announce=output.progress, **options.keywords()
-        )
+        report = _progress_of_study(advance, output)
+        outcome = execute(study, progress=report, announce=output.progress, **options.keywords())
     output.say(
         f"{outcome.database}: {outcome.before + outcome.ran} of {outcome.planned} runs, {outcome.ran} done now"
         + (f", {outcome.failed} of these failed." if outcome.failed else ".")

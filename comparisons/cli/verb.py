@@ -22,7 +22,7 @@ from .output import Output, in_language, sentences
 if TYPE_CHECKING:
     from typer.core import TyperCommand
 
-    from ..options.declaration import Option, Options
+    from ..options import Option, Options
 
 
 def argument(metavar: str, help: str, default: str | bool = False) -> Any:
@@ -47,16 +47,15 @@ def add_verb(app: typer.Typer, function: Callable[..., None], kind: type[TyperCo
         language: of its help.
     """
     from .. import options as declared
-    from ..options.declaration import Options, options_of
 
     # the modules of the verbs do not import the options, so that the list of all verbs is shown at once
     hints = get_type_hints(function, localns={"declared": declared}, include_extras=True)
     parameters = [p for p in inspect.signature(function).parameters.values() if p.name != "output"]
     groups = {p.name: hints[p.name] for p in parameters if isinstance(hints[p.name], type)}
-    groups = {name: kind for name, kind in groups.items() if issubclass(kind, Options)}
+    groups = {name: kind for name, kind in groups.items() if issubclass(kind, declared.Options)}
     options: dict[str, Option] = {}
     for group in (*groups.values(), declared.JsonOptions):
-        options |= {name: each for name, each in options_of(group).items() if each.only != "python"}
+        options |= {name: each for name, each in declared.options_of(group).items() if each.only != "python"}
     arguments = [p.replace(annotation=hints[p.name]) for p in parameters if p.name not in groups]
     configurable = any(issubclass(group, declared.ReadingOptions) for group in groups.values())
 
@@ -74,7 +73,7 @@ def add_verb(app: typer.Typer, function: Callable[..., None], kind: type[TyperCo
                     values["words"] = [str(ctx.meta[_META]["log"]), *values["words"]]
             output = Output(values.pop("json"), quiet=quiet, verbose=verbose, lang=lang, options=options)
             for name, group in groups.items():
-                values[name] = group.of(**{o: values.pop(o) for o in options_of(group) if o in values})
+                values[name] = group.of(**{o: values.pop(o) for o in declared.options_of(group) if o in values})
                 _check_places(values[name])
             _interruptible()
             function(output=output, **values)
@@ -219,8 +218,7 @@ def _without_outranked(ctx: typer.Context, values: dict[str, Any], options: dict
 
     if not ("noise" in options and typed("noise")):
         return values
-    from ..options import NoiseOptions
-    from ..options.declaration import options_of
+    from ..options import NoiseOptions, options_of
 
     of_noise = {name for name, each in options_of(NoiseOptions).items() if each.only != "python"}
     return {name: value if name not in of_noise or typed(name) else None for name, value in values.items()}

@@ -18,8 +18,7 @@ import fastslam
 import graphslam
 from fastslam.options import LOCALISATION, check_one_drive
 from graphslam import Graph, GraphError, Log, MotionModel, OptionError, SensorModel, SlamError, Solution, simulate
-from graphslam.errors import quoted
-from graphslam.errors.checks import suggestion
+from graphslam.errors import checks, quoted
 from graphslam.graph.defaults import edges_for_map, suitable_edges, suitable_for_isam2, suitable_kernel
 from graphslam.log import UNIDENTIFIED
 from graphslam.log.measurements import MEASURED
@@ -29,8 +28,7 @@ from graphslam.solvers.iteration import Run
 from graphslam.solvers.minimize import AT_MEASURED, shortened_ranges, takes_estimated_ranges
 from graphslam.solvers.solution import BEYOND_NOISE, make_solution
 
-from ..options import FrontEndOptions, GraphOptions, RunOptions
-from ..options.declaration import options_of
+from ..options import FrontEndOptions, GraphOptions, RunOptions, options_of
 from ..results import EstimatorResult, noted
 from .filters import FILTER, identified, mcl, of_several_seeds, timed
 
@@ -124,9 +122,8 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     _no_map("textbook", options)
     check_one_drive("textbook", log)
     defaults = {each: getattr(GraphOptions, each) for each in _GRAPH if each != "edges"}
-    options, notes = _fixed(
-        options, "it is the lectures' program as it stands", **defaults | {"frame": "world", "kernel": "none"}
-    )
+    defaults |= {"frame": "world", "kernel": "none"}
+    options, notes = _fixed(options, "it is the lectures' program as it stands", **defaults)
     edges = options.edges
     if edges not in graphslam.textbook.THRESHOLDS:
         edges = "virtual" if log.controls is None else "virtual+motion"
@@ -396,7 +393,7 @@ def check_estimators(names: Any) -> tuple[str, ...]:
     known = ", ".join(ESTIMATORS)
     for name in names:
         if name not in ESTIMATORS:
-            unknown = f"estimators: there is no estimator {quoted(name)}{suggestion(name, ESTIMATORS)}"
+            unknown = f"estimators: there is no estimator {quoted(name)}{checks.suggestion(name, ESTIMATORS)}"
             raise OptionError(f"{unknown}; the estimators are {known}")
     if not names:
         raise OptionError(f"estimators: name at least one of {known}")
@@ -431,9 +428,8 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
         if parameters.doubt:
             notes.append(parameters.doubt)
         if options.weight == "pairs" and not str(options.edges).startswith("landmark"):
-            notes.append(
-                "pairs weigh sightings too much, so these standard deviations are too small; see --weight marginal"
-            )
+            note = "pairs weigh sightings too much, so these standard deviations are too small; see --weight marginal"
+            notes.append(note)
     if graph is not None and values["options"].get("range_noise") == "measured":
         notes += [note for note in shortened_ranges(graph) if note not in notes]
     if graph is not None and (kernel := graph.verdict[0]) is not None and len(log.steps):

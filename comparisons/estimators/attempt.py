@@ -232,9 +232,9 @@ def _checked(name: str, result: object, log: Log) -> EstimatorResult:
     """
 
     def wrong(part: str, expected: str, value: object) -> ResultError:
-        found = repr(value)
-        if isinstance(value, np.ndarray):
-            found = f"an array of shape {value.shape} and type {value.dtype}"
+        found = (
+            f"an array of shape {value.shape} and type {value.dtype}" if isinstance(value, np.ndarray) else repr(value)
+        )
         return ResultError(f"{name} returned {part} that cannot be used: expected {expected}, not {found[:80]}")
 
     if not isinstance(result, EstimatorResult):

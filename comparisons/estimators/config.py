@@ -15,12 +15,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote_to_bytes
 
-from graphslam import OptionError
+from graphslam import OptionError, sample_log_path
 from graphslam.files import check_file, path_of
-from graphslam.simulation.worlds import sample_log_path
 
-from ..options import AUTO, BOOK, MODELS, LimitOptions, RunOptions
-from ..options.declaration import options_of
+from ..options import AUTO, BOOK, MODELS, LimitOptions, RunOptions, options_of
 from ..options.reading import sha256_of
 from ..options.toml_files import TomlFile, to_toml
 from . import check_estimators

@@ -25,8 +25,7 @@ from graphslam.association import Association
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import evaluate
 
-from ..options import RunOptions
-from ..options.declaration import options_of
+from ..options import RunOptions, options_of
 from ..results import EstimatorResult
 
 Result = TypeVar("Result")

@@ -28,7 +28,7 @@ from graphslam.simulation.simulator import MotionFaults, SensorFaults
 from graphslam.simulation.worlds import WORLDS, World
 from graphslam.solvers import INITIALIZE
 
-from .declaration import OUTPUT, EvaluationOptions, ImportOptions, Options  # noqa: F401
+from .declaration import OUTPUT, EvaluationOptions, ImportOptions, Option, Options, options_of  # noqa: F401
 
 #: the noise models: parameter name of an estimator and table of a TOML file -> the model
 MODELS: dict[str, type[MotionModel] | type[SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}
@@ -414,9 +414,8 @@ class SimulationOptions(Options):
         faults = {name: self.components[name][0](**given) for name in kinds if (given := self.of_component(name))}
         noise_given = {name for model in MODELS for name in self.of_component(model)} - {*SensorModel.GEOMETRY}
         if not world.clean and noise_given:
-            raise OptionError(
-                "the noise models have an effect in clean worlds only: add --clean, or set faults instead"
-            )
+            message = "the noise models have an effect in clean worlds only: add --clean, or set faults instead"
+            raise OptionError(message)
         return {"world": world, "seed": self.seed, **noise, **faults}
 
 

@@ -91,9 +91,7 @@ def options_of(group: type) -> dict[str, Option]:
 
 @cache
 def _options_of(group: Any) -> dict[str, Option]:
-    options = {
-        name: replace(each, panel=each.panel or _panel(group, name)) for name, each in declared_in(group).items()
-    }
+    options = {n: replace(each, panel=each.panel or _panel(group, n)) for n, each in declared_in(group).items()}
     for component, (kind, panel) in getattr(group, "components", {}).items():
         for each in options_of(kind).values():
             name = _RENAMED.get((component, each.name), each.name)

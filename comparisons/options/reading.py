@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 import graphslam
-from graphslam import FormatError, GraphError, Log, LogError, MotionModel, OptionError, SensorModel
+from graphslam import FormatError, GraphError, Log, LogError, MotionModel, OptionError, SensorModel, estimate_robot
 from graphslam.association import known_noise
 from graphslam.association.map_states import map_states, session_states
 from graphslam.calibration import Calibration
@@ -34,7 +34,6 @@ from graphslam.log.rows import ReadOptions
 from graphslam.maps.landmark_map import as_map
 from graphslam.maps.tracking import in_frame_of
 from graphslam.sessions import clock_offsets, join_robots, with_common_noise
-from graphslam.solvers.unknown_robot import estimate_robot
 
 from ..results import noted
 from . import AUTO, BOOK, CalibrationOptions, LogOptions, MapOptions, NoiseOptions, ReadingOptions
@@ -159,8 +158,7 @@ def _of_one_place(logs: list[Log], inflations: list[float | None], remarks: list
     sessions = graphslam.join_logs(with_common_noise(logs, inflations))
     joined = sessions.log
     with noted(remarks, "what has changed between the logs is not known"):
-        states = sessions.states or (session_states(joined) if len(logs) > 1 else ())
-        changes = zip(joined.sessions[1:], states)
+        changes = zip(joined.sessions[1:], sessions.states or (session_states(joined) if len(logs) > 1 else ()))
         # begins with no log's name: `run` shows in brief what does
         remarks += [f"compared with the logs before {each.name}, {found.sentence}" for each, found in changes]
     return joined
@@ -271,9 +269,8 @@ def read_log(log: LogOrPath | Sequence[LogOrPath], options: ReadingOptions) -> t
         data = log
         for name in OF_FILES:
             if (value := getattr(options, name)) is not None and value is not False:
-                raise OptionError(
-                    f"{name} applies when a file is read, and {quoted(log.name)} is a Log that has been read"
-                )
+                message = f"{name} applies when a file is read, and {quoted(log.name)} is a Log that has been read"
+                raise OptionError(message)
         if options.keep_every is not None:
             data = with_poses_every(data, options.keep_every)
     elif log is not None and not isinstance(log, (str, PathLike)):

@@ -75,8 +75,7 @@ class TomlFile(files.TomlFile):
         names = {name.removeprefix("sensor_"): name for name in known}
         self.check_keys(table, names, where)
         values = {key: self.checked(known[names[key]], table[key], f"{where}.{key}") for key in table}
-        model = MODELS[where.rpartition(".")[2]]
-        self.attempt(lambda: model().changed(**values), where)
+        self.attempt(lambda: MODELS[where.rpartition(".")[2]]().changed(**values), where)
         return {names[key]: value for key, value in values.items()}
 
     def checked(self, option: Option, value: Any, place: str) -> Any:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from graphslam.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from .documents import Band, Count, LogDocument, Numbers, describe, json_line, jsonable, one_of
     from .results import (
         EstimatorResult,
         Figures,

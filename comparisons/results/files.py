@@ -202,9 +202,7 @@ def elapsed_of(log: Log) -> Array:
 
     It is exact where `times_of` is not: seconds since 1970 leave no room for nanoseconds in a floating-point number.
     """
-    if log.dt is None:
-        return np.arange(log.num_poses, dtype=float)
-    return log.control_times[log.control_starts]
+    return np.arange(log.num_poses, dtype=float) if log.dt is None else log.control_times[log.control_starts]
 
 
 def time_axis(log: Log) -> str:
@@ -238,9 +236,8 @@ def sightings_text(log: Log, result: EstimatorResult) -> str:
     sightings = [[*z, *[""] * (3 - len(z))] for z in log.sightings.tolist()]
     columns = zip(log.steps.tolist(), sightings, classes, given, status_of(result).tolist(), true)
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(
-        [SIGHTING_COLUMNS, *([step, *z, *rest] for step, z, *rest in columns)]
-    )
+    rows = ([step, *z, *rest] for step, z, *rest in columns)
+    csv.writer(text, lineterminator="\n").writerows([SIGHTING_COLUMNS, *rows])
     return text.getvalue()
 
 

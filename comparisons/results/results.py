@@ -171,9 +171,7 @@ class EstimatorResult:
     @cached_property
     def expected_ate_m(self) -> float | None:
         """The ATE [m] that the covariances of a graph predict; None where they are not known."""
-        if self._solution is None or self.covariance_failure is not None:
-            return None
-        return self._solution.expected_ate
+        return None if self._solution is None or self.covariance_failure is not None else self._solution.expected_ate
 
     def _relative_covariances(self, covariances: Array) -> Array | None:
         """The covariances (T+1, 3, 3) of the poses of a graph against its first pose, whose errors move all others along.
@@ -186,8 +184,7 @@ class EstimatorResult:
         J = np.broadcast_to(np.eye(3), covariances.shape).copy()
         J[:, 0, 2], J[:, 1, 2] = self.poses[0, 1] - self.poses[:, 1], self.poses[:, 0] - self.poses[0, 0]
         crossed = np.full(covariances.shape, np.nan)
-        uncertainty = Uncertainty(self.graph, self.state, self._solution.scan_errors)
-        crossed[self.graph.steps] = uncertainty.with_pose(0)
+        crossed[self.graph.steps] = Uncertainty(self.graph, self.state, self._solution.scan_errors).with_pose(0)
         mixed = J @ np.swapaxes(crossed, 1, 2)
         return covariances - mixed - np.swapaxes(mixed, 1, 2) + J @ covariances[0] @ np.swapaxes(J, 1, 2)
 
@@ -295,8 +292,7 @@ def typical_costs(result: EstimatorResult) -> dict[str, float]:
     }
     found = {}
     for name, families in kinds.items():
-        linear = [f.linearize(result.state, result.state) for f in families if f is not None and f.count]
-        if linear:
+        if linear := [f.linearize(result.state, result.state) for f in families if f is not None and f.count]:
             ratios = [edges.mahalanobis / CHI_SQUARE_MEDIANS[edges.residuals.shape[1]] for edges in linear]
             found[name] = float(np.median(np.concatenate(ratios)))
     return found

@@ -153,8 +153,7 @@ def _draw_sightings(axes: Axes, comparison: Comparison, poses: Array) -> None:
     used = np.flatnonzero(np.isfinite(poses[log.steps, 0]))
     used = used[:: max(1, -(-len(used) // MOST_SIGHTINGS))]
     begins = poses[log.steps[used]]
-    ends = sensor.h_inverse(begins, log.sightings[used])[:, :2]
-    _draw_segments(axes, sensor.mount(begins)[:, :2], ends)
+    _draw_segments(axes, sensor.mount(begins)[:, :2], sensor.h_inverse(begins, log.sightings[used])[:, :2])
 
 
 def _draw_segments(axes: Axes, begins: Array, ends: Array) -> None:

@@ -22,8 +22,7 @@ from graphslam.identification.declared import PARAMETERS
 from graphslam.se2 import Array
 
 from ..estimators import bounds_of, online_steps
-from ..options import NoiseOptions, RunOptions
-from ..options.declaration import options_of
+from ..options import NoiseOptions, RunOptions, options_of
 from .canvas import between_poses, limits_of
 from .tables import NOTHING, LeanTable, Tables, number, written, yes_no
 

@@ -205,8 +205,7 @@ def _header(ns: int, frame: str = FRAME) -> Message:
 
 def _pose(pose: Array) -> Message:
     x, y, theta = (*map(float, pose), 0.0)[:3]
-    turn = {"z": float(np.sin(theta / 2)), "w": float(np.cos(theta / 2))}
-    return {"position": {"x": x, "y": y}, "orientation": turn}
+    return {"position": {"x": x, "y": y}, "orientation": {"z": float(np.sin(theta / 2)), "w": float(np.cos(theta / 2))}}
 
 
 def _with_covariance(pose: Array, covariance: Array | None) -> Message:
@@ -307,8 +306,7 @@ def _write_track(rr: Any, recording: Any, track: Track) -> None:
         numbers |= _named(track.covariances)
     arrows = np.column_stack([np.cos(heading), np.sin(heading)]) * 0.3
     robot = rr.Arrows2D.columns(origins=track.poses[:, :2], vectors=arrows, colors=[color] * len(x))
-    columns = [*robot, *rr.AnyValues.columns(**numbers)]
-    rr.send_columns(f"{track.name}/pose", [times], columns, recording=recording)
+    rr.send_columns(f"{track.name}/pose", [times], [*robot, *rr.AnyValues.columns(**numbers)], recording=recording)
     recording.log(f"{track.name}/path", rr.LineStrips2D([track.path[:, :2]], colors=[color]), static=True)
     if not track.landmarks:
         return

@@ -78,8 +78,7 @@ def backend_tables(comparison: BackendComparison) -> Tables:
     for name, mean in comparison.geometric_means.items():
         if mean is not None:
             remarks.append(f"graphslam takes 1/{1 / mean:.1f} of the time of {name} (geometric mean).")
-    called = dict.fromkeys(row.backend for row in comparison.rows if not row.native)
-    if called:
+    if called := dict.fromkeys(row.backend for row in comparison.rows if not row.native):
         remarks.append(
             f"{' and '.join(called)} ({PYTHON_FACTORS}): GTSAM has no factor of its own for the points of a pose graph. "
             "Python evaluates them, which takes most of the time, so these rows are in no mean."

@@ -177,9 +177,7 @@ def number(value: float | None, digits: int = 3) -> str:
     """A number for a table: short, and a dash where it is not known."""
     if value is None or value != value:
         return NOTHING
-    if value == 0 or 1e-3 <= abs(value) < 1e5:
-        return f"{value:.{digits}f}"
-    return f"{value:.{digits - 1}e}"
+    return f"{value:.{digits}f}" if value == 0 or 1e-3 <= abs(value) < 1e5 else f"{value:.{digits - 1}e}"
 
 
 def written(value: Any, form: str = "") -> str:
@@ -359,9 +357,8 @@ def comparison_tables(comparison: Comparison, *, brief: bool = False) -> Tables:
         remarks.append(f"graph and gtsam differ by at most {difference:.1e} in any x, y [m] or heading [rad].")
     if log.true_poses is None:
         if any(metrics.aligned_by for metrics in comparison.metrics.values()):
-            remarks.append(
-                "The log has no true poses: the maps are aligned to the true landmarks, and only maps have an error."
-            )
+            how = "The log has no true poses: the maps are aligned to the true landmarks, and only maps have an error."
+            remarks.append(how)
         else:
             remarks.append("The log has no true poses, so no error can be measured.")
     elif (covered := int(log.covered.sum())) < log.num_poses:

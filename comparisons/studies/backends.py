@@ -32,8 +32,7 @@ from graphslam.solvers.initialize import starting_state
 
 from ..estimators.attempt import rows_of
 from ..options import BackendOptions
-from ..results import Displayed, of_expected
-from ..results.documents import Count, jsonable
+from ..results import Count, Displayed, jsonable, of_expected
 
 #: every backend stops when a step changes the cost by less than this part of it
 COST_TOLERANCE = 1e-9

@@ -30,8 +30,7 @@ from ..estimators import ESTIMATORS
 from ..estimators.attempt import rows_of
 from ..estimators.filters import FILTERS, particle_filter
 from ..options import ConsistencyOptions, RunOptions
-from ..results import Displayed
-from ..results.documents import Band, Count, Numbers, one_of
+from ..results import Band, Count, Displayed, Numbers, one_of
 
 #: the graphs that can be tested, by name: options of the estimator ``graph``
 GRAPHS: dict[str, dict[str, Any]] = {

@@ -38,11 +38,9 @@ from graphslam.metrics import ate
 from ..comparison import compare
 from ..estimators.attempt import too_long
 from ..estimators.config import versions
-from ..options import NoiseOptions, ReadingOptions, RunOptions
-from ..options.declaration import options_of
+from ..options import NoiseOptions, ReadingOptions, RunOptions, options_of
 from ..options.reading import read_log, sha256_of
-from ..results import Figures, sentence
-from ..results.documents import Count
+from ..results import Count, Figures, sentence
 from .plan import Run, Study, simulated_log
 
 #: a run ended well, raised (or its process died), or took longer than the limit
@@ -127,8 +125,7 @@ def _execute(run: Run, log: Log) -> dict[str, Any]:
     # not the rows of the table: they have NEES, too, for which covariances would be computed
     sources = (result, comparison.metrics[result.name])
     figures = {f.name: getattr(each, f.name) for each in sources for f in fields(Outcome) if hasattr(each, f.name)}
-    certificate = result.certificate
-    if certificate is not None and certificate.applicable:
+    if (certificate := result.certificate) is not None and certificate.applicable:
         figures["proven"] = certificate.proven
     if isinstance(found := result.origin, FilterResult):
         sighted = np.unique(comparison.log.steps)
@@ -310,9 +307,8 @@ def _alone(path: Path) -> Iterator[None]:
     try:
         lock.acquire(timeout=0)
     except Timeout:
-        raise FormatError(
-            path, None, "another study is at work on this database; wait for it, or name another database"
-        ) from None
+        message = "another study is at work on this database; wait for it, or name another database"
+        raise FormatError(path, None, message) from None
     except OSError as error:
         raise FormatError(path, None, f"cannot write into {path.parent}: {error.strerror}") from None
     try:

@@ -21,8 +21,7 @@ from graphslam.errors import printable, quoted, reason_of, shortened
 from graphslam.files import path_of
 
 from ..estimators import ESTIMATORS, default_estimators
-from ..options import AUTO, BOOK, MODELS, LogOptions, RunOptions, SimulationOptions
-from ..options.declaration import Option, options_of
+from ..options import AUTO, BOOK, MODELS, LogOptions, Option, RunOptions, SimulationOptions, options_of
 from ..options.reading import OF_FILES, sha256_of
 from ..options.toml_files import TomlFile, read_noise
 

@@ -18,11 +18,9 @@ from graphslam.se2 import difference
 from graphslam.solvers.initialize import starting_state
 
 from ..estimators.attempt import rows_of
-from ..options import GraphOptions, SolverCheckOptions
-from ..options.declaration import options_of
+from ..options import GraphOptions, SolverCheckOptions, options_of
 from ..options.reading import prepare
-from ..results import Displayed, of_expected
-from ..results.documents import Count
+from ..results import Count, Displayed, of_expected
 
 #: what two solvers may differ by: any x, y [m] or heading [rad], and J relative to itself
 POSE_TOLERANCE, COST_TOLERANCE = 1e-6, 1e-9

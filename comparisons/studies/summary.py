@@ -23,13 +23,11 @@ from typing import Any
 
 import numpy as np
 
-from graphslam.errors import OptionError, printable, quoted
-from graphslam.errors.checks import suggestion
+from graphslam.errors import OptionError, checks, printable, quoted
 from graphslam.files import write_whole
 
 from ..options import METRICS
-from ..results import Displayed
-from ..results.documents import Band, Count, json_line
+from ..results import Band, Count, Displayed, json_line
 from .execute import COLUMNS, DONE, TIMEOUT, StudyDatabase
 
 #: the share of resamples that the interval holds
@@ -188,7 +186,7 @@ def summarise(study: str | PathLike[str] | StudyDatabase | Sequence[Row], *, bas
         rows, planned = list(map(dict, study)), len(study)
     names = list(dict.fromkeys(row["method"] for row in rows))
     if baseline is not None and baseline not in names:
-        raise OptionError(f"the study has no method {quoted(baseline)}{suggestion(baseline, names)}")
+        raise OptionError(f"the study has no method {quoted(baseline)}{checks.suggestion(baseline, names)}")
     if baseline is None:
         baseline = next((row["method"] for row in rows if row["estimator"] == "graph"), next(iter(names), None))
     logs = list(dict.fromkeys(row["log"] for row in rows))

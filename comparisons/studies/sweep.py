@@ -31,25 +31,12 @@ from graphslam import Log, OptionError, SlamError
 from graphslam.errors import quoted
 from graphslam.processes import default_jobs, process_pool
 
-from ..estimators import ESTIMATORS
-from ..estimators.attempt import (
-    Events,
-    Place,
-    add_estimators,
-    added_estimators,
-    as_they_end,
-    ended,
-    loading,
-    place_of,
-    rows_of,
-)  # fmt: skip
+from ..estimators import ESTIMATORS, attempt
 from ..estimators.config import versions
 from ..estimators.filters import FILTERS, Announce, announce_memory
-from ..options import JobsOptions, ParticleStudyOptions, RunOptions, SweepOptions
-from ..options.declaration import options_of
+from ..options import JobsOptions, ParticleStudyOptions, RunOptions, SweepOptions, options_of
 from ..options.reading import prepare
-from ..results import Displayed, sentence
-from ..results.documents import Count, jsonable
+from ..results import Count, Displayed, jsonable, sentence
 from .execute import DONE, ERROR, Outcome, StudyDatabase, execute, log_of, row_of, stopped
 from .plan import Run, Study, read_study
 from .summary import MethodSummary, Summary, summarise
@@ -70,24 +57,24 @@ def _pool_of_worker() -> ProcessPool:
         if not _pools:
             # Dask runs its workers as daemons, which may otherwise not have processes of their own
             multiprocessing.current_process().daemon = False
-            _pools.append(process_pool(get_worker().state.nthreads, loading(ESTIMATORS)))
+            _pools.append(process_pool(get_worker().state.nthreads, attempt.loading(ESTIMATORS)))
         return _pools[0]
 
 
 def _execute_added(run: Run, added: bytes) -> Outcome:
     """Do a run in a process that may not have the user's estimators, see `attempt.added_estimators`."""
-    add_estimators(added)
+    attempt.add_estimators(added)
     return execute(run)
 
 
 def execute_on_worker(run: Run, limit: float, added: bytes = b"") -> Outcome:
     """The task of the cluster: a run in the pool of its worker; ``added`` are the user's own estimators."""
     future = _pool_of_worker().schedule(_execute_added, (run, added), timeout=limit)
-    return ended(future, run, limit, partial(stopped, limit=limit))
+    return attempt.ended(future, run, limit, partial(stopped, limit=limit))
 
 
 @contextmanager
-def dask_cluster(address: str, limit: float) -> Iterator[Place[Run, Outcome]]:
+def dask_cluster(address: str, limit: float) -> Iterator[attempt.Place[Run, Outcome]]:
     """The cluster of a Dask scheduler, tcp://host:8786 or the like, with a limit of the time of each run [s].
 
     Raises:
@@ -125,8 +112,8 @@ def dask_cluster(address: str, limit: float) -> Iterator[Place[Run, Outcome]]:
         executor = client.get_executor(pure=False)
         try:
             # several runs wait on each worker, so that short ones do not wait for the network
-            added = added_estimators()
-            yield Place(8 * threads, lambda run: executor.submit(execute_on_worker, run, limit, added), outcome)
+            added = attempt.added_estimators()
+            yield attempt.Place(8 * threads, lambda run: executor.submit(execute_on_worker, run, limit, added), outcome)
         finally:
             # without waiting, which cancels the runs that have not begun
             executor.shutdown(wait=False)
@@ -156,8 +143,7 @@ def _check_handshake(address: str) -> None:
     from distributed.comm import connect
 
     async def greet() -> None:
-        comm = await connect(address, timeout=PATIENCE)
-        await comm.close()
+        await (await connect(address, timeout=PATIENCE)).close()
 
     try:
         # in a thread of its own: notebooks have a running loop in this one
@@ -260,7 +246,7 @@ def sweep(
         announce_memory(_large(missing), announce, jobs=1 if given.dask is not None else _jobs(given))
         report(before, len(plan.runs), None, None)
         with _ctrl_c() as events:
-            for k, outcome in as_they_end(place, missing, events):
+            for k, outcome in attempt.as_they_end(place, missing, events):
                 database.add(missing[k], outcome)
                 ran, failed = ran + 1, failed + (outcome.status != DONE)
                 report(before + ran, len(plan.runs), missing[k], outcome)
@@ -283,23 +269,23 @@ def _large(runs: Sequence[Run], log: Log | None = None) -> Iterator[tuple[str, L
                 yield run.estimator, log or log_of(run), RunOptions.of(**of_filter)
 
 
-def _place(study: Study, options: SweepOptions) -> AbstractContextManager[Place[Run, Outcome]]:
+def _place(study: Study, options: SweepOptions) -> AbstractContextManager[attempt.Place[Run, Outcome]]:
     if options.dask is not None:
         if options.jobs is not None:
             raise OptionError("give --jobs for processes of this machine or --dask for a cluster, not both")
         return dask_cluster(options.dask, study.time_limit)
     estimators, limit = tuple(dict.fromkeys(run.estimator for run in study.runs)), study.time_limit
     late = partial(stopped, limit=limit)
-    return place_of(execute, jobs=options.jobs, estimators=estimators, limit=limit, instead=late)
+    return attempt.place_of(execute, jobs=options.jobs, estimators=estimators, limit=limit, instead=late)
 
 
 @contextmanager
-def _ctrl_c() -> Iterator[Events[Outcome]]:
+def _ctrl_c() -> Iterator[attempt.Events[Outcome]]:
     """A queue into which Ctrl-C puts None, so that it never interrupts between a run's end and its row.
 
     A second Ctrl-C interrupts as always.
     """
-    events: Events[Outcome] = SimpleQueue()
+    events: attempt.Events[Outcome] = SimpleQueue()
     if threading.current_thread() is not threading.main_thread():
         yield events
         return
@@ -369,7 +355,7 @@ def study_particles(
     announce_memory(_large(runs, data), announce, jobs=_jobs(given))
     of_key, done = {run.key: run for run in runs}, count(1)
     report = None if progress is None else lambda each: progress(next(done), len(runs), of_key[each.key], each)
-    outcomes = rows_of(
+    outcomes = attempt.rows_of(
         partial(execute, log=data), runs, jobs=given.jobs, progress=report, estimators=given.filters,
         limit=given.time_limit, instead=partial(stopped, limit=given.time_limit),
     )  # fmt: skip

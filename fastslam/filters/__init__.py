@@ -24,11 +24,10 @@ from typing import Any
 
 import numpy as np
 
+from graphslam import Log, OptionError
 from graphslam.association import ids_by_map
 from graphslam.association.problem import Classes
-from graphslam.errors import OptionError
 from graphslam.graph.trilateration import WaitingNumbers, edges_of_rows
-from graphslam.log import Log
 from graphslam.maps.landmark_map import as_map
 from graphslam.se2 import Array, wrap
 
@@ -375,8 +374,7 @@ class MonteCarloLocalization(ParticleFilter):
             self._engine.weigh_by(self._log_likelihoods(ids, sightings, q))
             return True
         oriented = np.array([len(m) == 3 and sightings.shape[1] == 3 for m in known])
-        places = np.array([m if len(m) == 3 else [*m, 0.0] for m in known])
-        self._engine.weigh_known(places, sightings, q, oriented)
+        self._engine.weigh_known(np.array([m if len(m) == 3 else [*m, 0.0] for m in known]), sightings, q, oriented)
         return True
 
     def _log_likelihoods(self, ids: np.ndarray, sightings: Array, q: Array) -> Array:

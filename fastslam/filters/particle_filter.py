@@ -15,14 +15,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from graphslam import AbsolutePositions, Log, MotionModel, SensorModel
 from graphslam.association import known_noise
 from graphslam.engine import available_threads, engine
-from graphslam.errors import LogError, OptionError, quoted
-from graphslam.errors.checks import check_known, check_move, check_type
-from graphslam.log import Log
-from graphslam.log.measurements import AbsolutePositions
+from graphslam.errors import LogError, OptionError, checks, quoted
 from graphslam.maps.localization import Fix
-from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, difference
 
 from ..doubts import noted
@@ -111,13 +108,12 @@ class ParticleFilter(ABC):
         sensor: SensorModel | None = None, start: ArrayLike | Fix | None = None, map: Any = None, **keywords: Any,
     ) -> None:  # fmt: skip
         for name, value, kind in (("log", log, Log), ("motion", motion, MotionModel), ("sensor", sensor, SensorModel)):
-            check_type(kind, **{name: value})
+            checks.check_type(kind, **{name: value})
         kind_of_filter = type(self).__name__
         if given := {"landmarks", "landmark_map"}.intersection(keywords):
-            raise OptionError(
-                f"{kind_of_filter} has no option {quoted(min(given))}; a map of landmarks is given as map"
-            )
-        check_known(kind_of_filter, keywords, [field.name for field in fields(FilterOptions)])
+            message = f"{kind_of_filter} has no option {quoted(min(given))}; a map of landmarks is given as map"
+            raise OptionError(message)
+        checks.check_known(kind_of_filter, keywords, [field.name for field in fields(FilterOptions)])
         self.options = replace(options or FilterOptions(), **keywords).for_ids(log is None or log.identified)
         self._check_options()
         self.particles = self.options.particles
@@ -177,7 +173,7 @@ class ParticleFilter(ABC):
             OptionError: a value is impossible, or the robot would, by its motion or a standard deviation of its noise, go
                 farther than 1e9 m or turn by more than 1e5 rad.
         """
-        check_move(control, dt, motion, covariance)
+        checks.check_move(control, dt, motion, covariance)
         if motion is not None:
             self._move_by_gaussian(*sensor_motions(self.sensor, *checked_motion(motion, covariance)))
             return

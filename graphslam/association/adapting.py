@@ -68,8 +68,7 @@ class Robot:
 
     def applied(self, problem: Problem) -> Problem:
         """A problem with this log and this noise."""
-        field = Field.of(self.log, self.sensor)
-        return replace(problem, log=self.log, backbone=self.backbone, field=field)
+        return replace(problem, log=self.log, backbone=self.backbone, field=Field.of(self.log, self.sensor))
 
     def settled(self, before: ParameterEstimate | None) -> bool:
         """Whether the parameters are within `FINE` standard deviations of those before."""

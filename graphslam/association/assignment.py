@@ -177,8 +177,7 @@ def log_density(residuals: Array, covariances: Array) -> tuple[Array, Array]:
 
 def log_volume(covariances: Array) -> Array:
     """log det(2 pi S) (...)."""
-    d = covariances.shape[-1]
-    return np.linalg.slogdet(covariances)[1] + d * np.log(2 * np.pi)
+    return np.linalg.slogdet(covariances)[1] + covariances.shape[-1] * np.log(2 * np.pi)
 
 
 def evidence(problem: Problem, solution: MapSolution) -> float:

@@ -99,6 +99,8 @@ def verdict(competition: Competition, problem: Problem, leaps: tuple[Leap, ...])
 
 #: a function that finds a start when it is needed
 Begin = Callable[[], Start]
+#: one start or several; None stands for the drive
+Starts = Start | Begin | Sequence[Start | Begin | None] | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -193,7 +195,7 @@ def associate_from(
     motion: MotionModel | None = None,
     sensor: SensorModel | None = None,
     options: AssociationOptions | None = None,
-    start: Start | Begin | Sequence[Start | Begin | None] | None = None,
+    start: Starts = None,
     estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[str] | None = None,
     **changes: Any,
 ) -> Association:
@@ -253,9 +255,7 @@ def associate_from(
     return _report(recorded, robot, competition, options, missed, leaps, time.perf_counter() - begin)
 
 
-def _starts(
-    log: Log, start: Start | Begin | Sequence[Start | Begin | None] | None, driven: Begin
-) -> list[Start | Begin]:
+def _starts(log: Log, start: Starts, driven: Begin) -> list[Start | Begin]:
     """The given starts, ``driven`` for None; what functions return is checked when they are called."""
 
     def checked(each: Start) -> Start:

@@ -189,9 +189,8 @@ def run_front_end(problem: Problem, motion: MotionModel, sensor: SensorModel) ->
     log, backbone, options = problem.log, problem.backbone, problem.options
     motions, noises = log.motions(motion)
     if np.any(kept := backbone.known >= 0):
-        graph = Graph.from_log(
-            log.with_sightings(kept), motion=motion, sensor=sensor, edges="landmark+motion", kernel="none"
-        )
+        named = log.with_sightings(kept)
+        graph = Graph.from_log(named, motion=motion, sensor=sensor, edges="landmark+motion", kernel="none")
         guide = solve(graph).poses
         motions = between(guide[:-1], guide[1:])
     window = max(options.window, -(-log.num_poses // MOST_WINDOWS))

@@ -243,8 +243,7 @@ class MapSolution:
         order = system.symbolic.order
         last = np.isin(order, nodes)
         ordering = np.concatenate([order[~last], order[last]])
-        points = system.structure.points
-        symbolic = analyze(system.indptr, system.indices, ordering=ordering, points=points)
+        symbolic = analyze(system.indptr, system.indices, ordering=ordering, points=system.structure.points)
         factor = symbolic.factorize(system.values.copy())
         d = self.graph.landmark_dimension
         return factor.joint_covariance(nodes).reshape(len(nodes), 3, len(nodes), 3)[:, :d, :, :d]

@@ -35,8 +35,7 @@ from typing import Any
 import numpy as np
 
 from ..edges import PriorEdges, Way
-from ..errors import GraphError, OptionError, quoted
-from ..errors.checks import listed
+from ..errors import GraphError, OptionError, checks, quoted
 from ..graph import Graph
 from ..log import Log
 from ..maps.landmark_map import LandmarkMap, as_map
@@ -125,7 +124,7 @@ class MapStates:
         agree = len(self.of(AGREES))
         parts = [f"{agree} landmarks agree with the map" if agree != 1 else "1 landmark agrees with the map"]
         parts += [
-            f"{listed('landmark', ids, most=8)} {verbs[len(ids) > 1]}"
+            f"{checks.listed('landmark', ids, most=8)} {verbs[len(ids) > 1]}"
             for name, verbs in {
                 MOVED: ("has moved", "have moved"),
                 VANISHED: ("has vanished", "have vanished"),
@@ -229,8 +228,7 @@ def map_states(
             p = gone(views[j].counts)
             name = VANISHED if p > 0.5 else NOT_IN_VIEW
             states.append(LandmarkState(j, name, max(p, 1 - p), vanished=p, views=views[j].count))
-    kept = known.among(set(known) - moved)
-    return MapStates(tuple(sorted(states, key=lambda each: each.id)), kept, solution)
+    return MapStates(tuple(sorted(states, key=lambda each: each.id)), known.among(set(known) - moved), solution)
 
 
 def session_states(log: Log, **options: Any) -> list[MapStates]:
@@ -344,8 +342,7 @@ def _shifts(solution: Solution, fresh: dict[int, int], prior: float) -> dict[int
 
 def _next(solution: Solution, found: dict[int, tuple[Array, float, float]], away: set[int], *, first: bool) -> set[int]:
     """The landmarks that are to be others than those of the map in the next round."""
-    back = {j for j in away & set(found) if found[j][2] <= 0.5}
-    if back:
+    if back := {j for j in away & set(found) if found[j][2] <= 0.5}:
         return away - back
     rest = {j: square for j, (_, square, p) in found.items() if j not in away and p > 0.5}
     if first:

@@ -250,8 +250,7 @@ def agree(labels: np.ndarray, known: np.ndarray) -> bool:
 def names(labels: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
     """The id (L,) of each label 0 to L - 1 (M,): that of its sightings in ``landmarks`` (M,), else one above all of these."""
     fixed = (landmarks != UNIDENTIFIED) & (labels >= 0)
-    count = int(labels.max(initial=-1)) + 1
-    found = np.full(count, UNIDENTIFIED)
+    found = np.full(int(labels.max(initial=-1)) + 1, UNIDENTIFIED)
     found[labels[fixed]] = landmarks[fixed]
     new = found == UNIDENTIFIED
     found[new] = max(int(landmarks[fixed].max(initial=-1)), -1) + 1 + np.arange(np.count_nonzero(new))

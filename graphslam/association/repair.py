@@ -223,8 +223,7 @@ def repaired(
             if not (_overlap(best.solution, leap) or _free(own, best.solution, leap)):
                 continue
             starts = [_moved(own, end.refined, leap) for end in competition.ends]
-            trial = _tried(competition, robot, names, own, leap, starts)
-            if trial is not None:
+            if (trial := _tried(competition, robot, names, own, leap, starts)) is not None:
                 trial = _wider(competition, robot, names, own, trial)
                 competition, robot, done = trial.competition, trial.robot, (*done, trial.leap)
                 break

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..association.associate import robot_of
-from ..errors import LogError
-from ..errors.checks import array_of, check_choice, check_not_negative
+from ..errors import LogError, checks
 from ..identification.corrections import without_biases
 from ..identification.declared import CORRECTIONS, PLACE, of_sensor_alone
 from ..identification.odometry import OF_SENSOR, with_variances
@@ -217,9 +216,9 @@ def calibrate(
     for each in logs:
         check_is_log(each)
     if degrees is not None:
-        check_not_negative(degrees=degrees)
-        degrees = float(array_of("degrees", degrees))
-    check_choice("source", source, SOURCES)
+        checks.check_not_negative(degrees=degrees)
+        degrees = float(checks.array_of("degrees", degrees))
+    checks.check_choice("source", source, SOURCES)
     motion, sensor = logs[0].noise_models(motion, sensor)
     moved = sum(map(true_motions, logs))
     if auto := source == "auto":
@@ -358,8 +357,7 @@ def _noise(every: Sequence[RobotEstimate]) -> tuple[dict[str, float], dict[str, 
         count = int(np.sum(information[:, k] > 0))
         if count > 1 and scatter[k] > chdtri(count - 1, ERROR_RATE / len(means)):
             shown = ", ".join(f"{value:.3g}" for value in (np.exp(values[:, k]) if k < len(names) else both[:, k]))
-            sentence = f"the logs disagree beyond chance on {name} ({shown})"
-            (notes if k < len(names) else doubts).append(sentence)
+            (notes if k < len(names) else doubts).append(f"the logs disagree beyond chance on {name} ({shown})")
     together = means[: len(names)] + widths.mean(axis=0)
     deviations = np.sum(information[:, : len(names)], axis=0) ** -0.5
     return dict(zip(names, together.tolist())), dict(zip(names, deviations.tolist())), notes, doubts

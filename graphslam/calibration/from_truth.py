@@ -139,8 +139,7 @@ def sensor_noise(logs: Sequence[Log], sensor: SensorModel, degrees: float | None
     Raises:
         LogError: there are too few sightings of true landmarks from true poses.
     """
-    pairs = [_seen(log, sensor) for log in logs]
-    z, seen = (np.concatenate(each) for each in zip(*pairs))
+    z, seen = (np.concatenate(each) for each in zip(*[_seen(log, sensor) for log in logs]))
 
     def residuals(line: Array) -> Array:
         e = z - seen

@@ -154,9 +154,8 @@ def check_rows(owner: object, **shapes: tuple[int, ...]) -> None:
                 f"{array.shape}"
             )
         if (k := first(~np.isfinite(array).all(axis=tuple(range(1, array.ndim))))) is not None:
-            raise GraphError(
-                f"{type(owner).__name__}: {name} of edge {k} must be finite, not {quoted(array[k].tolist())}"
-            )
+            message = f"{type(owner).__name__}: {name} of edge {k} must be finite, not {quoted(array[k].tolist())}"
+            raise GraphError(message)
         object.__setattr__(owner, name, array)
 
 
@@ -232,9 +231,8 @@ class EdgeFamily(ABC):
         """
         given = self.cliques()
         if not isinstance(given, tuple) or len(given) != 2:
-            raise GraphError(
-                f"{type(self).__name__}: cliques() must return two arrays, starts and nodes, not {quoted(given)}"
-            )
+            message = f"{type(self).__name__}: cliques() must return two arrays, starts and nodes, not {quoted(given)}"
+            raise GraphError(message)
         starts, nodes = (node_numbers(self, "what cliques() returns", part) for part in given)
         if not len(starts) or starts[0] != 0 or starts[-1] != len(nodes) or (np.diff(starts) < 0).any():
             raise GraphError(

@@ -210,9 +210,7 @@ class PriorEdges(EdgeFamily):
                 i, j, *ends = self._pairs
                 system.values[system.slots_of(*ends)] += blocks[i, j]
             system.xi[self.nodes] += way.pulled((0.0 if self.rhs is None else self.rhs) - pull).reshape(k, 3)
-        if self.rhs is None:
-            return float(v @ pull)
-        return float(v @ pull - 2 * self.rhs @ v + self._least)
+        return float(v @ pull) if self.rhs is None else float(v @ pull - 2 * self.rhs @ v + self._least)
 
     @cached_property
     def _least(self) -> float:

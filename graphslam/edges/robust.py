@@ -34,8 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..engine import engine
-from ..errors import OptionError, quoted
-from ..errors.checks import check_choice, check_positive
+from ..errors import OptionError, checks, quoted
 from ..se2 import Array
 from .base import EdgeFamily
 
@@ -63,7 +62,7 @@ class Kernel:
 
     def __post_init__(self) -> None:
         if self.width is not None:
-            check_positive(width=self.width)
+            checks.check_positive(width=self.width)
 
     def of_dimension(self, dimension: int) -> Self:
         """This kernel with a width, for residuals of a dimension."""
@@ -153,7 +152,7 @@ def kernel_of(kernel: Kernel | str | None) -> Kernel | None:
         OptionError: there is no such kernel.
     """
     if isinstance(kernel, str):
-        check_choice("kernel", kernel, ("none", *KERNELS))
+        checks.check_choice("kernel", kernel, ("none", *KERNELS))
         return KERNELS.get(kernel)
     if kernel is not None and not isinstance(kernel, Kernel):
         raise OptionError(f"kernel must be Huber(), Cauchy(), GemanMcClure(), a name or None, not {quoted(kernel)}")

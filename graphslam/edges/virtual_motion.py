@@ -129,8 +129,7 @@ class VirtualMotionEdges(LandmarkSightings):
     def kernel_weights(self, state: Array) -> Array:
         if self.kernel is None:
             return super().kernel_weights(state)
-        squares = self.linearize(state, state).mahalanobis / self.group_weights[self.pairs()[2]]
-        return self.kernel.weight(squares)
+        return self.kernel.weight(self.linearize(state, state).mahalanobis / self.group_weights[self.pairs()[2]])
 
     @cached_property
     def group_weights(self) -> Array:

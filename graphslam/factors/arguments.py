@@ -10,8 +10,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import OptionError, quoted
-from ..errors.checks import check_choice, check_heading, check_sighted, finite_numbers
+from ..errors import OptionError, checks, quoted
 from ..linear.precision import SMALLEST, check_size, small_inverse
 from ..models import FRAMES, SensorModel
 from ..se2 import Array
@@ -26,12 +25,12 @@ def sighting(name: str, value: ArrayLike) -> Array:
         OptionError: the value is no sighting, or its range is not above zero.
         GraphError: the range is outside of what double precision can hold.
     """
-    z = finite_numbers(name, value, (2,), (3,))
+    z = checks.finite_numbers(name, value, (2,), (3,))
     length, *angles = z.tolist()
     if length <= 0:
         raise OptionError(f"the range of {name} must be above zero, not {length:g} m")
     check_size(f"the range of {name}", length, least=SMALLEST)
-    check_sighted(name, angles)
+    checks.check_sighted(name, angles)
     return z
 
 
@@ -84,8 +83,8 @@ def frozen_at(at: Any, needed: bool, rows: int | None = None, *, frame: str = "w
             raise OptionError(f"without psi the information depends on {poses}, in frame='body', too: {others}")
         message = f"the information depends on {poses}: pass {given}, or take frame='body' where that is constant"
         raise OptionError(message)
-    frozen = finite_numbers("at", at, (3,) if rows is None else (rows, 3))
-    check_heading("at", frozen[..., 2])
+    frozen = checks.finite_numbers("at", at, (3,) if rows is None else (rows, 3))
+    checks.check_heading("at", frozen[..., 2])
     return frozen
 
 
@@ -95,7 +94,7 @@ def in_world_frame(frame: str) -> bool:
     Raises:
         OptionError: there is no such frame.
     """
-    check_choice("frame", frame, FRAMES)
+    checks.check_choice("frame", frame, FRAMES)
     return frame == "world"
 
 

@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..edges.robust import Cauchy, GemanMcClure, Huber, Kernel, kernel_of
-from ..errors import FactorError, OptionError, quoted
-from ..errors.checks import check_choice, check_positive
+from ..errors import FactorError, OptionError, checks, quoted
 from ..se2 import Array
 from .arguments import positive_definite
 from .description import FACTOR_TYPES, FactorDescription, describe, key_name
@@ -237,7 +236,7 @@ def noise_model(
         OptionError: the scale is not positive, or there is no such kernel.
     """
     scale, kernel = arguments.get("scale", 1.0), kernel_of(arguments["kernel"])
-    check_positive(scale=scale)
+    checks.check_positive(scale=scale)
     if covariance is None:
         noise = gtsam.noiseModel.Gaussian.Information(information * scale)
     else:
@@ -345,7 +344,7 @@ class ResidualFactor(Factor):
             raise OptionError(f"kinds must be a list of {', '.join(KINDS)}, not {quoted(kinds)}")
         kinds = [POSE] * len(keys) if kinds is None else list(kinds)
         for kind in kinds:
-            check_choice("kinds", kind, tuple(KINDS))
+            checks.check_choice("kinds", kind, tuple(KINDS))
         if len(kinds) != len(keys) or not keys:
             raise OptionError(f"ResidualFactor needs one kind per key, not {len(kinds)} for {len(keys)} keys")
         if not callable(residual):

@@ -12,8 +12,7 @@ from scipy.linalg import lapack
 
 from ..edges.robust import kernel_of
 from ..engine import engine
-from ..errors import FactorError, OptionError, quoted
-from ..errors.checks import check_choice, check_sighted, finite_numbers
+from ..errors import FactorError, OptionError, checks, quoted
 from ..linear.precision import SMALLEST, check_size, model_of
 from ..models import RESIDUALS, WEIGHTS, SensorModel
 from ..se2 import Array, rotation, wrap
@@ -82,14 +81,14 @@ class LandmarkFactor(Factor):
         world, robust = in_world_frame(frame), kernel_of(kernel)
         if robust is not None and robust.width is None:
             raise OptionError(f"the kernel of a LandmarkFactor needs a width, such as {type(robust).__name__}(5.0)")
-        check_choice("weight", weight, WEIGHTS)
+        checks.check_choice("weight", weight, WEIGHTS)
         keys = listed_keys("LandmarkFactor", keys)
         sensor = model_of(SensorModel, sensor)
         place = {key: k for k, key in enumerate(dict.fromkeys(keys))}
         node = np.array([place[key] for key in keys], dtype=int)
         z = _sightings("sightings", sightings, (2, 3), len(node))
         at_sightings = z if noise_at is None else _sightings("noise_at", noise_at, z.shape[1:], len(node))
-        trusted = np.ones(len(z)) if trust is None else finite_numbers("trust", trust, (len(z),))
+        trusted = np.ones(len(z)) if trust is None else checks.finite_numbers("trust", trust, (len(z),))
         if np.any(trusted <= 0):
             raise OptionError(f"trust must be above zero for every sighting, not {quoted(trust)}")
         frozen = frozen_at(at, needed=world or (weight != "marginal" and z.shape[1] == 2), rows=len(z), frame=frame)
@@ -114,11 +113,11 @@ def _sightings(name: str, value: ArrayLike, lengths: tuple[int, ...], rows: int)
         OptionError: they are none, or a range is not above zero.
         GraphError: a range is outside of what double precision can hold.
     """
-    z = finite_numbers(name, value, *((rows, length) for length in lengths))
+    z = checks.finite_numbers(name, value, *((rows, length) for length in lengths))
     if len(z) == 0 or np.any(z[:, 0] <= 0):
         raise OptionError("LandmarkFactor needs at least one sighting, and ranges above zero")
     check_size("ranges", z[:, 0], least=SMALLEST)
-    check_sighted(name, (z[:, 1:].min(), z[:, 1:].max()))
+    checks.check_sighted(name, (z[:, 1:].min(), z[:, 1:].max()))
     return z
 
 
@@ -285,7 +284,7 @@ class ObservationFactor(Factor):
     ) -> None:
         z, sensor = sighting("z", z), model_of(SensorModel, sensor)
         at_sighting = noise_sighting(noise_at, z)
-        check_choice("residual", residual, RESIDUALS)
+        checks.check_choice("residual", residual, RESIDUALS)
         if residual == "polar":
             evaluated, covariance = _polar(z, sensor), sensor.Q(at_sighting)
         else:
@@ -381,7 +380,7 @@ class RelativePointFactor(Factor):
         *,
         kernel: KernelLike = None,
     ) -> None:
-        z, omega = finite_numbers("measured", measured, (2,)), positive_definite(information, 2)
+        z, omega = checks.finite_numbers("measured", measured, (2,)), positive_definite(information, 2)
         arguments = {"measured": z, "information": omega, "kernel": kernel}
         residual = _in_the_plane(z[0], z[1])
         super().__init__([pose_key, landmark_key], [POSE, POINT], residual, arguments, information=omega)

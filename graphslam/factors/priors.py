@@ -12,8 +12,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import OptionError, quoted
-from ..errors.checks import checked_pose, finite_numbers
+from ..errors import OptionError, checks, quoted
 from ..se2 import Array
 from .arguments import PoseLike, positive_definite
 from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys, noise_model, wrapped
@@ -53,7 +52,7 @@ class PriorFactor(Factor):
         kernel: KernelLike = None,
     ) -> None:
         keys = listed_keys("PriorFactor", keys)
-        poses, held = len(keys) - points, finite_numbers("values", values, (len(keys), 3))
+        poses, held = len(keys) - points, checks.finite_numbers("values", values, (len(keys), 3))
         kinds = [POSE] * poses + [POINT] * points
         most = [3] * poses + [2] * points
         used = most if coordinates is None else list(coordinates)
@@ -65,7 +64,7 @@ class PriorFactor(Factor):
         ends = np.cumsum(most)[:-1]
         jacobians = np.split(np.eye(3 * len(keys))[np.ix_(about, has)], ends, axis=1)
         rows = held.tolist()
-        centre = None if pivot is None else finite_numbers("pivot", pivot, (2,))
+        centre = None if pivot is None else checks.finite_numbers("pivot", pivot, (2,))
         turning = None if centre is None else _turning(held, complex(*centre), about, has, ends)
 
         def residual(*nodes: Coordinates) -> Linearized:
@@ -128,7 +127,7 @@ class AnchorFactor(Factor):
     def __init__(
         self, key: int, pose: PoseLike, information: ArrayLike | None = None, *, kernel: KernelLike = None
     ) -> None:
-        held = checked_pose("pose", pose)
+        held = checks.checked_pose("pose", pose)
         omega = 1e6 * np.eye(3) if information is None else positive_definite(information)
         x, y, theta = held.tolist()
 
@@ -163,7 +162,7 @@ class PositionFactor(Factor):
         lever: ArrayLike = (0.0, 0.0),
         kernel: KernelLike = None,
     ) -> None:
-        z, arm = finite_numbers("measured", measured, (2,), (3,)), finite_numbers("lever", lever, (2,))
+        z, arm = checks.finite_numbers("measured", measured, (2,), (3,)), checks.finite_numbers("lever", lever, (2,))
         omega = positive_definite(information, len(z))
         (x, y), (ahead, left), heading = z[:2].tolist(), arm.tolist(), z[2:].tolist()
 

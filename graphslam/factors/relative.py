@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike
 
 from ..edges.robust import code_and_width, kernel_of
 from ..engine import engine
-from ..errors import GraphError, OptionError
-from ..errors.checks import QUICKEST, check_heading, check_positive, check_turn_rate, checked_pose, finite_numbers
+from ..errors import GraphError, OptionError, checks
 from ..linear.precision import check_size, model_of, small_inverse
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, sinc_slope_near_zero, turned_by
@@ -62,7 +61,7 @@ class RelativePoseFactor(Factor):
         at: PoseLike | None = None,
         kernel: KernelLike = None,
     ) -> None:
-        z, omega = checked_pose("measured", measured), positive_definite(information)
+        z, omega = checks.checked_pose("measured", measured), positive_definite(information)
         arguments = {"measured": z, "information": omega, "frame": frame, "at": at, "kernel": kernel}
         self._make([key_1, key_2], z, omega, arguments)
 
@@ -142,8 +141,8 @@ class MotionFactor(RelativePoseFactor):
         scale: float = 1.0,
         kernel: KernelLike = None,
     ) -> None:
-        check_positive(dt=dt)
-        motion, u = model_of(MotionModel, motion), finite_numbers("control", control, (2,))
+        checks.check_positive(dt=dt)
+        motion, u = model_of(MotionModel, motion), checks.finite_numbers("control", control, (2,))
         nu, omega = u.tolist()
         sizes = {"dt": float(dt), "the distance of control": nu * dt, "the turn of control": omega * dt}
         for name, number in sizes.items():
@@ -151,7 +150,7 @@ class MotionFactor(RelativePoseFactor):
         relative = (
             "use RelativePoseFactor with the relative pose and information of MotionModel.f and MotionModel.covariance"
         )
-        check_turn_rate(omega, relative, QUICKEST)
+        checks.check_turn_rate(omega, relative, checks.QUICKEST)
         options = {"frame": frame, "at": at, "scale": scale, "kernel": kernel}
         arguments = {"control": u, "dt": dt, "motion": motion} | options
         # f and its covariance turn with the pose that they start from
@@ -235,8 +234,8 @@ class RelativeEdgesFactor(Factor):
         i, j = (np.array(ends, dtype=np.int64) for ends in (first, second))
         if len(i) == 0 or i.shape != j.shape or np.min([i, j]) < 0 or np.max(i) >= poses or np.max(j) >= len(keys):
             raise OptionError("first and second must be places of keys, one of a pose and one of any node per edge")
-        z = finite_numbers("measured", measured, (len(i), 3))
-        check_heading("measured", z[j < poses, 2])
+        z = checks.finite_numbers("measured", measured, (len(i), 3))
+        checks.check_heading("measured", z[j < poses, 2])
         omega = np.array(information, dtype=float)
         rows = np.where(j < poses, 3, 2)
         if omega.shape != (len(i), 3, 3):
@@ -244,7 +243,7 @@ class RelativeEdgesFactor(Factor):
         root = np.zeros_like(omega)
         for edge, d in enumerate(rows.tolist()):
             root[edge, :d, :d] = np.linalg.cholesky(positive_definite(omega[edge, :d, :d], d)).T
-        frozen = finite_numbers("at", at, (len(i),)) if world else np.zeros(len(i))
+        frozen = checks.finite_numbers("at", at, (len(i),)) if world else np.zeros(len(i))
         edge_kernel = kernel_of(edge_kernel)
         # a kernel without a width takes that of the dimension
         of_rows = {d: code_and_width(edge_kernel and edge_kernel.of_dimension(d)) for d in (2, 3)}

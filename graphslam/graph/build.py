@@ -27,8 +27,7 @@ from ..edges import (
     motion_edges,
 )
 from ..edges.robust import Kernel, kernel_of
-from ..errors import GraphError, OptionError, quoted
-from ..errors.checks import array_of, listed
+from ..errors import GraphError, OptionError, checks, quoted
 from ..identification.declared import Parameters
 from ..identification.known import AUTO, BOOK, enough_ids, noise_of, unknown_noise
 from ..identification.result import RobotEstimate
@@ -210,9 +209,8 @@ def priors_of_map(
 
 def _check_log(log: Log, with_motion: bool) -> None:
     if len(log.steps) == 0 and not any(map(len, log.measured.values())):
-        raise GraphError(
-            f"{log.name} has no sightings at all, and no relations or positions: nothing corrects dead reckoning"
-        )
+        message = f"{log.name} has no sightings at all, and no relations or positions: nothing corrects dead reckoning"
+        raise GraphError(message)
     if not log.identified:
         raise GraphError(
             f"{log.name} has {np.sum(log.landmarks == UNIDENTIFIED)} of {len(log.steps)} sightings without an id, and a "
@@ -230,16 +228,15 @@ def _tied_steps(log: Log, with_motion: bool) -> tuple[np.ndarray, tuple[str, ...
     often = np.bincount(seen[:, 0]) > 1
     notes = []
     if not np.all(often):
-        notes.append(f"no edge comes from {listed('landmark', ids[~often].tolist())}, seen in one step only")
+        notes.append(f"no edge comes from {checks.listed('landmark', ids[~often].tolist())}, seen in one step only")
     if with_motion:
         return np.arange(log.num_poses), tuple(notes)
     ends = [getattr(each, end) for each in log.measured.values() for end in each.ENDS]
     steps = np.unique(np.concatenate([seen[often[seen[:, 0]], 1], *ends]))
     if not len(steps):
         raise GraphError(f"{log.name} has no landmark that was seen twice, so there are no virtual-motion edges")
-    left_out = np.setdiff1d(np.arange(log.num_poses), steps).tolist()
-    if left_out:
-        notes.append(f"{listed('pose', left_out)} shared no sighting with any other and stayed out of the graph")
+    if left_out := np.setdiff1d(np.arange(log.num_poses), steps).tolist():
+        notes.append(f"{checks.listed('pose', left_out)} shared no sighting with any other and stayed out of the graph")
     return steps, tuple(notes)
 
 
@@ -275,7 +272,7 @@ def node_names(nodes: np.ndarray, pose_ids: np.ndarray, landmark_ids: np.ndarray
     """The names of nodes in a sentence: 'poses 3 and 4', 'landmark 7', 'pose 2 and landmark 5'."""
     pose = nodes < len(pose_ids)
     named = (("pose", pose_ids[nodes[pose]]), ("landmark", landmark_ids[nodes[~pose] - len(pose_ids)]))
-    return " and ".join(listed(noun, ids.tolist()) for noun, ids in named if len(ids))
+    return " and ".join(checks.listed(noun, ids.tolist()) for noun, ids in named if len(ids))
 
 
 def pieces(num_nodes: int, first: Sequence[np.ndarray], second: Sequence[np.ndarray]) -> np.ndarray:
@@ -302,7 +299,7 @@ def _check_determined(
     loose = steps[label[:num_nodes] != label[0]].tolist()
     if loose:
         raise GraphError(
-            f"the graph falls into several pieces: nothing ties {listed('pose', loose)} to pose {steps[0]}; "
+            f"the graph falls into several pieces: nothing ties {checks.listed('pose', loose)} to pose {steps[0]}; "
             "use edges='virtual+motion', or a log in which they share a landmark"
         )
     if virtual.oriented:
@@ -315,7 +312,7 @@ def _check_determined(
     if loose:
         share = "shares" if len(loose) == 1 else "share"
         raise GraphError(
-            f"without psi one landmark does not fix a pose: {listed('pose', loose)} {share} only one with the rest; "
+            f"without psi one landmark does not fix a pose: {checks.listed('pose', loose)} {share} only one with the rest; "
             "use edges='virtual+motion' or a sensor with psi"
         )
 
@@ -325,9 +322,8 @@ def with_dimensions(log: Log, dimensions: int | None) -> Log:
     if dimensions is not None and (not isinstance(dimensions, Integral) or dimensions not in (2, 3)):
         raise OptionError(f"dimensions must be 2 or 3, not {quoted(dimensions)}")
     if dimensions == 3 and not log.has_orientation:
-        raise GraphError(
-            f"{log.name} has sightings without psi, but 3-D sensor values were asked for; use dimensions=2"
-        )
+        message = f"{log.name} has sightings without psi, but 3-D sensor values were asked for; use dimensions=2"
+        raise GraphError(message)
     return log.without_orientation() if dimensions == 2 and log.has_orientation else log
 
 
@@ -368,10 +364,10 @@ def estimate_map(
         own_kernel, own_trust = graph.verdict
         sensor, kernel, trust = sensor or graph.sensor, kernel or own_kernel, own_trust if trust is None else trust
     sensor = sensor or log.sensor or SensorModel()
-    trajectory = array_of("poses", getattr(poses, "poses", poses))
+    trajectory = checks.array_of("poses", getattr(poses, "poses", poses))
     if trajectory.shape != (log.num_poses, 3):
         raise OptionError(f"poses must have shape ({log.num_poses}, 3) for this log, not {trajectory.shape}")
-    trusted = np.ones(len(log.steps)) if trust is None else np.nan_to_num(array_of("trust", trust), nan=1.0)
+    trusted = np.ones(len(log.steps)) if trust is None else np.nan_to_num(checks.array_of("trust", trust), nan=1.0)
     if trusted.shape != log.steps.shape or np.any((trusted < 0) | (trusted > 1)):
         raise OptionError(f"trust must be {len(log.steps)} numbers from 0 to 1, one for each sighting of this log")
     known = np.flatnonzero(log.landmarks != UNIDENTIFIED)

@@ -89,9 +89,8 @@ def notes_on_options(log: Log, sensor: SensorModel, options: EdgeOptions, missin
     said = (DOUBLED, SIDEWAYS, SHARED, COVERED, REPEATED, MOVED_BETWEEN)
     notes = [text for check, text in log.doubts if check in said]
     if missing:
-        notes.append(
-            f"covariances do not contain what is unknown of the biases taken out of the log: {', '.join(missing)}"
-        )
+        left_out = f"what is unknown of the biases taken out of the log: {', '.join(missing)}"
+        notes.append(f"covariances do not contain {left_out}")
     notes += options.without_effect
     if options.landmark_nodes and options.residual == "cartesian":
         doubt = on_an_arc(log, sensor)

@@ -23,8 +23,7 @@ from ..edges import (
 )
 from ..edges.base import PairEdges
 from ..edges.robust import Kernel, kernel_of
-from ..errors import GraphError, OptionError
-from ..errors.checks import array_of
+from ..errors import GraphError, OptionError, checks
 from ..files import path_of
 from ..linear.precision import LARGEST, check_size
 from ..se2 import Array
@@ -75,7 +74,7 @@ def save_g2o(graph: Graph, path: str | PathLike[str], *, state: Array | None = N
         OptionError: the state has another shape or is not finite.
         FormatError: the file cannot be written.
     """
-    state = graph.initial if state is None else array_of("state", state)
+    state = graph.initial if state is None else checks.array_of("state", state)
     if state.shape != graph.initial.shape or not np.isfinite(state).all():
         raise OptionError(f"state must be finite numbers of shape {graph.initial.shape}, not {state.shape}")
     write_g2o(_file_of_graph(graph, state), path_of(path))

@@ -359,9 +359,7 @@ class Graph:
     @property
     def without_kernel(self) -> Graph:
         """The same graph with plain squares in place of robust kernels. Both write Omega and xi into one `system`."""
-        if not self.reweighted:
-            return self
-        return self.with_changed(DoubtedEdges, lambda f: replace(f, kernel=None))
+        return self if not self.reweighted else self.with_changed(DoubtedEdges, lambda f: replace(f, kernel=None))
 
     @cached_property
     def degrees_of_freedom(self) -> int:

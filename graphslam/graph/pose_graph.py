@@ -180,9 +180,8 @@ def _take(lines: _Lines, line: int, words: list[str], unknown: str) -> None:
             if tag.startswith(SPATIAL):
                 raise FormatError(path, line, f"{quoted(tag)} is of a graph in space; {IN_THE_PLANE}")
             known = ", ".join([*_TAGS, "FIX"])
-            raise FormatError(
-                path, line, f"unknown tag {quoted(tag)}; known are {known} (unknown='skip' leaves others out)"
-            )
+            message = f"unknown tag {quoted(tag)}; known are {known} (unknown='skip' leaves others out)"
+            raise FormatError(path, line, message)
         return
     kind, dialect, form = _TAGS[tag]
     num_ids, d = KINDS[kind] if isinstance(kind, str) else (1, kind)

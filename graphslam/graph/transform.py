@@ -48,8 +48,7 @@ from ..edges import (
     SightingEdges,
     VirtualMotionEdges,
 )
-from ..errors import GraphError
-from ..errors.checks import array_of
+from ..errors import GraphError, checks
 from ..se2 import Array, between, chained, inverse, lever_matrix, perpendicular, rotation, turn_matrix, turned_by
 from .defaults import anchors
 from .graph import Graph
@@ -245,7 +244,7 @@ def relative_graph(graph: Graph, *, state: Array | None = None) -> Graph:
     Raises:
         GraphError: the edges measure no relative pose: virtual-motion edges without psi, or ``weight="marginal"``.
     """
-    initial = graph.initial if state is None else array_of("state", state).copy()
+    initial = graph.initial if state is None else checks.array_of("state", state).copy()
     families = tuple(_relative(family, initial) for family in graph.families)
     if graph.log is None or graph.landmark_dimension == 2:
         return replace(graph, initial=initial, families=families, log=None, sensor=None, notes=())
@@ -266,8 +265,7 @@ def _relative(family: EdgeFamily, state: Array) -> EdgeFamily:
         relative = kind(seen.first, seen.second, seen.relative.measured, seen.relative.information)
         return _weighted(relative, family, state)
     if isinstance(family, RelationEdges):
-        edges = RelativePoseEdges(family.first, family.second, family.measured, family.weighed)
-        return _weighted(edges, family, state)
+        return _weighted(RelativePoseEdges(family.first, family.second, family.measured, family.weighed), family, state)
     if isinstance(family, PartialEdges | PositionEdges):
         weights = family.kernel_weights(state)[:, None, None]
         return replace(family, information=family.weighed * weights, kernel=None, trust=None)

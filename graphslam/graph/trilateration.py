@@ -13,8 +13,7 @@ import numpy as np
 
 from ..edges import BearingEdges, PartialEdges, RangeEdges
 from ..edges.robust import Kernel
-from ..errors import GraphError
-from ..errors.checks import listed
+from ..errors import GraphError, checks
 from ..log import Log
 from ..log.measurements import PartialSightings
 from ..models import SensorModel
@@ -168,7 +167,7 @@ def placed_single_numbers(
         else:
             open_.append(j)
     why = "left out: their ranges or bearings from this way leave any number of places"
-    notes = (f"{listed('landmark', open_)} {why}",) if open_ else ()
+    notes = (f"{checks.listed('landmark', open_)} {why}",) if open_ else ()
     return partial.among(~np.isin(partial.landmarks, open_)), places, notes
 
 

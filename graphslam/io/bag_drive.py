@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError, LogError, named, quoted
-from ..errors.checks import suggestion
+from ..errors import FormatError, LogError, checks, named, quoted
 from ..log import Log
 from ..log.drive import Timed, odometry_of, sightings_of, truth_of
 from ..log.join import READERS, Drive, check_overlap, map_of
@@ -164,7 +163,7 @@ def _choices(bag: Bag, found: Sequence[Candidate], recipe: Recipe) -> list[Choic
         if name is not None:
             name = name if name in by_name or f"/{name}" not in by_name else f"/{name}"
             if name not in by_name:
-                hint = suggestion(name, by_name) or f"; its topics are {named(by_name) or 'none'}"
+                hint = checks.suggestion(name, by_name) or f"; its topics are {named(by_name) or 'none'}"
                 raise FormatError(bag.path, None, f"there is no topic {quoted(name)}{hint}")
             choices.append(Choice(kind, by_name[name], parent, child, named=True))
         elif parent or child:
@@ -202,8 +201,7 @@ def _collector(bag: Bag, choice: Choice, options: TableOptions) -> Collector:
     source = f"{bag.path}: {choice.topic.name}"
     if choice.kind in MEASURED_TOPICS:
         return Poses(source, choice.kind, choice.topic.type)
-    stated = options.columns_of(choice.kind)
-    plan = plan_of(source, choice.kind, choice.topic.type, bag.types, stated)
+    plan = plan_of(source, choice.kind, choice.topic.type, bag.types, options.columns_of(choice.kind))
     return Collector(source, plan, parent=choice.parent, child=choice.child)
 
 

@@ -69,8 +69,7 @@ class Frames:
             child, parent = clean(each.child_frame_id), clean(each.header.frame_id)
             at, turn = each.transform.translation, each.transform.rotation
             position, rotation = np.array([at.x, at.y, at.z]), np.array([turn.x, turn.y, turn.z, turn.w])
-            known = self.parents.get(child)
-            if known is None or static:
+            if (known := self.parents.get(child)) is None or static:
                 self.parents[child] = (parent, position, rotation)
             elif known[0] != parent or np.abs(known[1] - position).max() > _STILL or not _same(known[2], rotation):
                 self.moving.add(child)
@@ -184,8 +183,7 @@ class Collector:
     def columns(self, names: list[str]) -> Array:
         """Columns (N, k) by name."""
         every = list(self.plan.columns)
-        values = np.array(self._values).reshape(-1, len(every))
-        return values[:, [every.index(name) for name in names]]
+        return np.array(self._values).reshape(-1, len(every))[:, [every.index(name) for name in names]]
 
     def ids(self) -> np.ndarray | None:
         """The ids (N,) as numbers or text; None where there are none."""
@@ -273,8 +271,7 @@ class Poses(Collector):
     def fixes(self) -> tuple[Array, Array, np.ndarray]:
         """Latitude, longitude [degrees], altitude [m] (N, 3), covariances (N, 2, 2), and their types (N,), -1 for no fix."""
         rows = self._rows_of_numbers()
-        C = rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
-        return rows[:, :3], C, rows[:, 6].astype(int)
+        return rows[:, :3], rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2), rows[:, 6].astype(int)
 
     @property
     def explicit(self) -> np.ndarray:

@@ -15,8 +15,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from ..errors import FormatError, named, quoted, shortened
-from ..errors.checks import suggestion
+from ..errors import FormatError, checks, named, quoted, shortened
 from ..files import check_unpacked, first_bytes
 from ..log.table import NAMES, plain
 
@@ -407,7 +406,7 @@ def _stated(source: str, role: str, path: str, inside: list[str], row: str) -> s
     for known in inside:
         if known.replace("[]", "") == wanted:
             return known
-    hint = suggestion(wanted, inside) or f"; it has {named(inside)}"
+    hint = checks.suggestion(wanted, inside) or f"; it has {named(inside)}"
     raise FormatError(source, None, f"its messages have no field {quoted(path)} for {role}{hint}")
 
 

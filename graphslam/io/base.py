@@ -54,8 +54,7 @@ def member(folder: Path, name: str, holds: str) -> Path:
 
 def optional_member(folder: Path, name: str, holds: str, notes: list[str]) -> Path | None:
     """The path of a file of a data set, or None and a note where it is missing."""
-    path = folder / name
-    if path.is_file():
+    if (path := folder / name).is_file():
         return path
     notes.append(f"{name}, which would hold {holds}, is missing: read without")
     return None

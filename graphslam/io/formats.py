@@ -11,8 +11,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from ..errors import FormatError, OptionError, quoted
-from ..errors.checks import check_choice, check_known
+from ..errors import FormatError, OptionError, checks, quoted
 from ..files import check_file, check_path, check_unpacked, first_bytes, path_of
 from ..graph import Graph
 from ..graph.pose_graph import DIALECTS, IN_THE_PLANE, SPATIAL, is_pose_graph
@@ -48,7 +47,7 @@ def load(path: str | PathLike[str], *, format: str | None = None, **options: Any
     path = path_of(path)
     chosen = _format_of(path, format)
     known = [f.name for f in fields(ReadOptions)]
-    check_known("load", options, known, f"; its options are format, {', '.join(known)}")
+    checks.check_known("load", options, known, f"; its options are format, {', '.join(known)}")
     if options.get("robot") is not None and chosen.robots is None:
         raise OptionError(f"robot does not apply to logs of the format {quoted(chosen.name)} ({path}); leave it out")
     reading = ReadOptions(**options)
@@ -104,14 +103,14 @@ def load_robots(path: str | PathLike[str], *, format: str | None = None, **optio
     if chosen.read_robots is None:
         raise OptionError(f"logs of the format {quoted(chosen.name)} are of one robot ({path}); load reads them")
     known = [field.name for field in fields(ReadOptions) if field.name != "robot"]
-    check_known("load_robots", options, known, f"; it takes {', '.join(known)}")
+    checks.check_known("load_robots", options, known, f"; it takes {', '.join(known)}")
     return chosen.read_robots(path, ReadOptions(**options))
 
 
 def _format_of(path: Path, format: str | None) -> Format:
     """The format that is named, or that of the file or folder."""
     if format is not None:
-        check_choice("format", format, FORMATS)
+        checks.check_choice("format", format, FORMATS)
     check_path(path)
     if not path.is_dir():
         check_file(path)
@@ -159,7 +158,7 @@ def save(log: Log, path: str | PathLike[str], *, format: str | None = None) -> N
             message = f"cannot tell the format from the suffix {quoted(path.suffix)}; use one of {', '.join(by_suffix)}"
             raise FormatError(path, None, message)
         format = by_suffix[path.suffix]
-    check_choice("format", format, writers)
+    checks.check_choice("format", format, writers)
     writers[format](log, path)
 
 

@@ -78,8 +78,7 @@ def _read(folder: Path, _: ReadOptions) -> Log:
     whole = not np.any((seen[:, :2] % 1 != 0) | (np.abs(seen[:, :2]) > 2**53))
     if seen[0, 0] < 1 or seen[-1, 0] > len(speed) + 1 or not whole:
         raise FormatError(path, None, f"steps and beacons must be whole numbers, and steps 1 to {len(speed) + 1}")
-    positive = seen[:, 2] > 0
-    if not positive.all():
+    if not (positive := seen[:, 2] > 0).all():
         notes.append(f"{np.sum(~positive)} of {len(seen)} sightings have a range not above zero: left out")
         seen = seen[positive]
         if len(seen) == 0:

@@ -68,8 +68,7 @@ class _Reader:
         names = {"t": "the step number"}
         integers = [whole(self.path, line, names.get(c, c), w) for c, w in zip(columns, words) if c in ("t", "ID")]
         numbers = [(c, w) for c, w in zip(columns, words) if c not in ("t", "ID")]
-        unknown = [(c, w) for c, w in numbers if tag == "z" and w.lower().lstrip("+-") in _NO_NUMBERS]
-        if unknown:
+        if unknown := [(c, w) for c, w in numbers if tag == "z" and w.lower().lstrip("+-") in _NO_NUMBERS]:
             name, word = unknown[0]
             self.wrong.append((line, f"{name} {word}", f"{name} is {word}; only finite numbers are allowed"))
             return
@@ -104,8 +103,7 @@ class _Reader:
         if self.sightings and len(values) != len(self.sightings[0]):
             have, other = "has no PSI" if len(values) == 2 else "has PSI", next(iter(self.lines.values()))
             raise self.error(f"this sighting {have}, unlike line {other}; all must be alike")
-        earlier = self.lines.setdefault((step, landmark), self.line)
-        if earlier != self.line:
+        if (earlier := self.lines.setdefault((step, landmark), self.line)) != self.line:
             raise self.error(f"landmark {landmark} is seen twice in step {step} (first in line {earlier}); remove one")
         self.sightings.append(values)
 

@@ -26,8 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FormatError, decimals
-from ..errors.checks import first
+from ..errors import FormatError, checks, decimals
 from ..log import Log
 from ..log.rows import ReadOptions
 from ..log.streams import Stream, bridge, gap_note, in_order, silent
@@ -61,7 +60,7 @@ def _read(path: Path, _: ReadOptions) -> Log:
     times, valid = ordered.times, content["true_valid"][:, 0] != 0
     r_std, b_std, v_std, om_std = (content[name].item() ** 0.5 for name in ("r_var", "b_var", "v_var", "om_var"))
     dt = np.diff(times)
-    if (k := first(dt <= 0)) is not None:
+    if (k := checks.first(dt <= 0)) is not None:
         message = f"two rows have the time t = {decimals(times[k])} s; every row should have its own"
         raise FormatError(path, None, message)
     steps, columns = np.nonzero(content["r"] > 0)

@@ -155,8 +155,7 @@ def read_mat(path: Path, shapes: Mapping[str, Shape | None]) -> dict[str, Array]
         content = variables(data)
     except (ValueError, OSError) as error:
         raise FormatError(path, None, f"not a readable MATLAB file ({error}); was it cut short?") from None
-    missing = [name for name in shapes if name not in content]
-    if missing:
+    if missing := [name for name in shapes if name not in content]:
         layout = f"expected the variables {', '.join(shapes)}, but {missing[0]!r} is missing"
         has = named(sorted(content)) or "nothing"
         raise FormatError(path, None, f"a .mat of another layout: {layout} (it has: {has})")

@@ -29,8 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError, OptionError, decimals, quoted
-from ..errors.checks import first
+from ..errors import FormatError, OptionError, checks, decimals, quoted
 from ..log import UNIDENTIFIED, Log
 from ..log.cells import time_faults
 from ..log.rows import NO_CLASS, Fault, ReadOptions, finite_fault, range_faults, robot_class, sound_rows
@@ -135,7 +134,7 @@ def _stream(
     kept, about = sound_rows(len(rows), noun, wrong, table.error, strict=strict, source=path.name)
     rows, numbers = rows[kept], np.flatnonzero(kept)
     notes += about
-    if (k := first(disorder(rows[:, 0]) > MOST_DISORDER)) is not None:
+    if (k := checks.first(disorder(rows[:, 0]) > MOST_DISORDER)) is not None:
         order = f"{decimals(rows[k, 0])} s comes after {decimals(np.max(rows[:k, 0]))} s"
         raise table.error(int(numbers[k]), f"time runs backwards: {order}; sort the lines by time")
     return Stream(rows[:, 0], rows[:, 1:])
@@ -147,7 +146,7 @@ def _table(path: Path, columns: tuple[str, ...]) -> tuple[TextTable, Array]:
     rows = table.numbers(range(table.width))
     for name, column in zip(columns, rows.T):
         fault = finite_fault(column, name)
-        if (k := first(fault.rows)) is not None:
+        if (k := checks.first(fault.rows)) is not None:
             raise table.error(k, fault.message(k))
     return table, rows
 
@@ -156,7 +155,7 @@ def _subjects(path: Path) -> dict[int, int]:
     """{barcode: subject}."""
     table, rows = _table(path, ("subject", "barcode"))
     # beyond 2^53 floating-point numbers leave out whole numbers
-    if (k := first(np.any((rows % 1 != 0) | (np.abs(rows) > 2**53), axis=1))) is not None:
+    if (k := checks.first(np.any((rows % 1 != 0) | (np.abs(rows) > 2**53), axis=1))) is not None:
         subject, barcode = rows[k].tolist()
         raise table.error(k, f"expected two whole numbers, subject and barcode, not {subject:g} and {barcode:g}")
     subjects = {int(barcode): int(subject) for subject, barcode in rows.tolist()}

@@ -23,8 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError, OptionError, SlamError, reason_of
-from ..errors.checks import real_array
+from ..errors import FormatError, OptionError, SlamError, checks, reason_of
 from ..files import check_file, read_archive, write_whole
 from ..log import Log
 from ..log.measurements import MEASURED, Session
@@ -47,8 +46,7 @@ def _read(path: Path, options: ReadOptions) -> Log:
     content = read_archive(path, "a log")
     if str(content.get("format")) != VERSION:
         raise FormatError(path, None, f"the archive is not a log: its entry 'format' should be {VERSION!r}")
-    missing = [name for name in _REQUIRED if name not in content]
-    if missing:
+    if missing := [name for name in _REQUIRED if name not in content]:
         raise FormatError(path, None, f"the archive lacks the array {missing[0]!r}")
     try:
         notes = (*map(str, content.get("notes", ())), *_left_out(content, path, options.strict))
@@ -57,7 +55,7 @@ def _read(path: Path, options: ReadOptions) -> Log:
             if name in content:
                 if content[name].ndim != 1:
                     raise OptionError(f"{name} must be numbers, one for each field of the model")
-                numbers = iter(real_array(content[name]).tolist())
+                numbers = iter(checks.real_array(content[name]).tolist())
                 # files of earlier versions lack the last fields
                 values: dict[str, Any] = {
                     f.name: (next(numbers, 0.0), next(numbers, 0.0)) if f.name == "offset" else next(numbers, f.default)
@@ -78,7 +76,7 @@ def _read(path: Path, options: ReadOptions) -> Log:
             **{name: content[name] for name in _REQUIRED},
             **{name: content[name] for name in _OPTIONAL if name in content},
             true_landmarks=_true_landmarks(content) if "true_landmark_ids" in content else None,
-            start_time=float(real_array(content.get("start_time", 0.0))),
+            start_time=float(checks.real_array(content.get("start_time", 0.0))),
             notes=notes,
             doubts=tuple((str(check), str(message)) for check, message in content.get("doubts", np.empty((0, 2)))),
             uncertain={str(name): float(number) for name, number in content.get("uncertain", np.empty((0, 2)))} or None,

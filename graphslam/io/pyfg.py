@@ -29,8 +29,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import FormatError, OptionError, quoted
-from ..errors.checks import singular
+from ..errors import FormatError, OptionError, checks, quoted
 from ..files import number, read_text
 from ..log import Log
 from ..log.geometry import polar
@@ -300,7 +299,7 @@ def _split(file: _File, step: dict[str, int], notes: Counter[str]) -> tuple[list
         if row.names[1][0] == _LANDMARK and row.names[0] in step:
             seen.append(row)
     if between_robots:
-        notes[singular(f"{between_robots:,} ranges between two poses, such as of two robots: not used")] += 1
+        notes[checks.singular(f"{between_robots:,} ranges between two poses, such as of two robots: not used")] += 1
     return ranges, seen
 
 

@@ -22,8 +22,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from ..errors import FormatError, quoted
-from ..errors.checks import check_known, declared_in
+from ..errors import FormatError, checks, quoted
 from ..files import TomlFile, check_unpacked, first_bytes
 from ..log import Log
 from ..log.drive import ROLES
@@ -35,7 +34,7 @@ from .base import Format, errors_name
 #: keys of the table of a stream that are not its columns
 _UNITS = ("time", "angles", "lengths")
 #: the types of the options of all tables
-_TYPES: dict[str, tuple[type, ...]] = {name: (each.kind,) for name, each in declared_in(TableOptions).items()}
+_TYPES: dict[str, tuple[type, ...]] = {name: (each.kind,) for name, each in checks.declared_in(TableOptions).items()}
 _TYPES |= dict.fromkeys((*_UNITS, "columns", "clocks"), (str, dict))
 _WHERE = ("file", "topic", "child", "parent", "use")
 #: of topics of relations and positions: standard deviations [m, rad] instead of those of the messages, and the point of the
@@ -95,8 +94,7 @@ def read_recipe(path: Path) -> Recipe:
                 clocks[table] = file.value(content, key, float, where=table)
             else:
                 columns.setdefault(table, {})[key] = file.value(content, key, str, int, where=table)
-    by_table = {**units, "columns": columns, "clocks": clocks}
-    values |= {name: value for name, value in by_table.items() if value}
+    values |= {name: value for name, value in {**units, "columns": columns, "clocks": clocks}.items() if value}
     return Recipe(file.attempt(lambda: TableOptions(**values)), places, numbers)
 
 
@@ -125,7 +123,7 @@ def merged(recipe: Recipe, changes: Mapping[str, Any]) -> Recipe:
     """The recipe with options of the command line or of Python, which take precedence; None is not given."""
     given = {name: value for name, value in changes.items() if value is not None}
     known = [f.name for f in fields(TableOptions)]
-    check_known("the reader of tables", given, known, f"; its options are {', '.join(known)}")
+    checks.check_known("the reader of tables", given, known, f"; its options are {', '.join(known)}")
     return replace(recipe, options=replace(recipe.options, **given))
 
 

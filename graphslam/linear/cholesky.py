@@ -129,8 +129,7 @@ class Factor:
             raise ValueError(f"damping must be finite and not negative, not {damping}")
         self._inverse = None
         self._valid = False
-        bad = self._factor.factorize(values, damping)
-        if bad >= 0:
+        if (bad := self._factor.factorize(values, damping)) >= 0:
             self._raise(values, bad)
         self._valid = True
         return self
@@ -278,8 +277,7 @@ def analyze(
         order = np.ascontiguousarray(ordering, dtype=np.int32)
         if not np.array_equal(np.sort(order), np.arange(n)):
             raise ValueError(f"ordering must be a permutation of {n} nodes")
-    structure = engine.analyze(indptr, indices, order, available_threads(), points)
-    return Symbolic(indptr, indices, structure)
+    return Symbolic(indptr, indices, engine.analyze(indptr, indices, order, available_threads(), points))
 
 
 class Bordered:

@@ -14,8 +14,7 @@ from weakref import WeakSet
 import numpy as np
 
 from ..engine import engine
-from ..errors import GraphError
-from ..errors.checks import check_type, first
+from ..errors import GraphError, checks
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
 
@@ -43,7 +42,7 @@ def check_magnitudes(log: Log, motion: MotionModel | None, sensor: SensorModel) 
     check_size(f"the ranges of {log.name}", ranges, least=SMALLEST)
     bearing, orientation = sensor.bearing_std, sensor.orientation_std
     along, across = np.hypot(ranges * sensor.range_rate, sensor.range_std), ranges * bearing
-    if (k := first(np.maximum(along / across, across / along) > PART**-0.5)) is not None:
+    if (k := checks.first(np.maximum(along / across, across / along) > PART**-0.5)) is not None:
         raise GraphError(
             f"{log.name}: the noise of sighting {k} is {along[k]:.2g} m along the line of sight and {across[k]:.2g} m "
             f"across it, and double precision holds a ratio of {PART**-0.5:.0e} at most; change range_rate, "
@@ -89,7 +88,7 @@ def model_of(kind: type[Model], model: Model | None) -> Model:
     """
     if model is None:
         return _BOOK[kind]
-    check_type(kind, **{kind.__name__.removesuffix("Model").lower(): model})
+    checks.check_type(kind, **{kind.__name__.removesuffix("Model").lower(): model})
     check_model(model)
     return model
 
@@ -99,7 +98,7 @@ def check_size(what: str, numbers: object, *, least: float = 0.0, most: float = 
     if isinstance(numbers, float) and least <= abs(numbers) <= most:
         return
     size = np.abs(np.asarray(numbers, dtype=float)).ravel()
-    if (k := first((size > most) | (size < least))) is not None:
+    if (k := checks.first((size > most) | (size < least))) is not None:
         raise GraphError(
             f"{what}: {size[k]:g} is too {'large' if size[k] > most else 'small'} for double precision; the limit is "
             f"{most if size[k] > most else least:g}"

@@ -15,8 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..errors import LogError, decimals, named, quoted, shortened
-from ..errors.checks import first
+from ..errors import LogError, checks, decimals, named, quoted, shortened
 from ..se2 import Array, between, sinc
 from .rows import MOST_CLASSES, NO_CLASS, UNIDENTIFIED, Fault, without_no_id
 from .table import Table
@@ -228,7 +227,7 @@ def ids_of(table: Table, column: int, known: Mapping[str, int] | None = None) ->
     else:
         names, empty = {}, np.isnan(values)
         fault = id_fault(table, column, values)
-        if (k := first(fault.rows)) is not None:
+        if (k := checks.first(fault.rows)) is not None:
             raise table.error(k, fault.message(k))
         numbers = _whole(table, column, values)[~empty]
     ids = np.full(len(table), UNIDENTIFIED)
@@ -256,8 +255,7 @@ def id_fault(table: Table, column: int, values: np.ndarray) -> Fault:
 def _whole(table: Table, column: int, values: Array) -> np.ndarray:
     """The whole numbers (N,) of a column of ids whose floating-point numbers are ``values``; 0 where it is NaN."""
     whole = np.where(np.isnan(values), 0.0, values).astype(np.int64)
-    large = np.flatnonzero(np.abs(values) >= 2.0**53)
-    if large.size:
+    if (large := np.flatnonzero(np.abs(values) >= 2.0**53)).size:
         # their last digits are in the text only
         words = table.words(column)[large]
         for k, word in zip(large.tolist(), words.tolist()):
@@ -344,11 +342,11 @@ def checked_heading(table: Table, quaternions: Array) -> Array:
         LogError: a quaternion is not of length 1, or tilts the robot.
     """
     length = np.linalg.norm(quaternions, axis=1)
-    if (k := first(np.abs(length - 1) > _LENGTH)) is not None:
+    if (k := checks.first(np.abs(length - 1) > _LENGTH)) is not None:
         cause = "no orientation was measured" if length[k] == 0 else "are its columns x, y, z, w in this order?"
         raise table.error(k, f"the quaternion has length {length[k]:.3g}, but a rotation has length 1: {cause}")
     x, y, _, _ = (quaternions / length[:, None]).T
-    if (k := first(1 - 2 * (x * x + y * y) < np.cos(_TILT))) is not None:
+    if (k := checks.first(1 - 2 * (x * x + y * y) < np.cos(_TILT))) is not None:
         tilt = np.rad2deg(np.arccos(np.clip(1 - 2 * (x[k] ** 2 + y[k] ** 2), -1, 1)))
         message = f"the quaternion tilts the robot by {tilt:.0f} degrees: are its columns x, y, z, w in this order?"
         raise table.error(k, message)

@@ -15,24 +15,7 @@ import numpy as np
 from ..errors import LogError, named
 from ..errors.checks import FARTHEST, FASTEST, FOUR_TURNS, LONGEST, QUICKEST, WHOLE_TURN, checked_offset, first
 from ..se2 import Array, wrap
-from .cells import (
-    Doubt,
-    Ids,
-    added,
-    checked_heading,
-    classes_of,
-    controls_between,
-    counts_turns,
-    id_fault,
-    ids_of,
-    is_dated,
-    nanoseconds,
-    repeated_sightings,
-    repeated_times,
-    sideways_poses,
-    sideways_speed,
-    time_faults,
-)
+from . import cells
 from .geometry import WHEELS, chosen_axes, controls_of, motion_of, polar
 from .rows import (
     AXES,
@@ -89,7 +72,7 @@ class Timed:
     columns: tuple[str, ...]
     ids: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     notes: tuple[str, ...] = ()
-    doubts: tuple[Doubt, ...] = ()
+    doubts: tuple[cells.Doubt, ...] = ()
     classes: np.ndarray | None = None
     names: Mapping[str, int] = field(default_factory=dict)
     ends: np.ndarray | None = None
@@ -192,9 +175,9 @@ class Reader:
         for role, values in columns.items():
             title = self.table.title(self.found[role].column)
             if MEASURES.get(role) == "time":
-                faults += time_faults(values, f"the time {title}", self._unit(role))
+                faults += cells.time_faults(values, f"the time {title}", self._unit(role))
             elif role == "id":
-                faults.append(id_fault(self.table, self.found[role].column, values))
+                faults.append(cells.id_fault(self.table, self.found[role].column, values))
             else:
                 fault = finite_fault(values, title)
                 if {"range", "bearing"} <= {*columns} and role in ("range", "bearing") and "orientation" not in columns:
@@ -216,9 +199,8 @@ class Reader:
             strict=self.options.strict, source=self.table.source,
         )  # fmt: skip
         if not kept.all():
-            notes += self._without_orientation(
-                ~kept & ~np.any([each.rows for each in faults if each is not of_psi], axis=0)
-            )
+            others = np.any([each.rows for each in faults if each is not of_psi], axis=0)
+            notes += self._without_orientation(~kept & ~others)
             self.table = Kept(self.table, np.flatnonzero(kept), notes)
         return self.table
 
@@ -249,15 +231,15 @@ class Reader:
         self.need(role)
         column = self.found[role].column
         day = self.found["date"].column if self.has("date") else None
-        ns = nanoseconds(self.table, column, self._unit(role), self.kind, day)
+        ns = cells.nanoseconds(self.table, column, self._unit(role), self.kind, day)
         if self.has("nanosec"):
             self.need("nanosec")
-            more = nanoseconds(self.table, self.found["nanosec"].column, "ns", self.kind)
-            ns = added(self.table, column, ns, more, self.kind)
-        if (unit := self.options.unit("time", self.kind)) is not None and is_dated(self.table, column):
+            more = cells.nanoseconds(self.table, self.found["nanosec"].column, "ns", self.kind)
+            ns = cells.added(self.table, column, ns, more, self.kind)
+        if (unit := self.options.unit("time", self.kind)) is not None and cells.is_dated(self.table, column):
             note = f"{self.table.title(column)} holds dates or durations: the stated unit {unit} is not used"
             self.table.notes = tuple(dict.fromkeys((*self.table.notes, f"{self.table.source}: {note}")))
-        return added(self.table, column, ns, self.options.clock(self.kind), self.kind)
+        return cells.added(self.table, column, ns, self.options.clock(self.kind), self.kind)
 
     def numbers(self, *roles: str, finite: bool = True) -> Array:
         """Columns (N, k) in metres and radians."""
@@ -285,7 +267,7 @@ class Reader:
         if not self.has("class"):
             return None, ()
         stated = "class" in self.options.columns_of(self.kind)
-        classes, notes = classes_of(self.table, self.found["class"].column, stated=stated)
+        classes, notes = cells.classes_of(self.table, self.found["class"].column, stated=stated)
         if classes is not None:
             self.need("class")
         return classes, notes
@@ -301,15 +283,13 @@ class Reader:
             known = np.isfinite(quaternions).all(axis=1)
             # rows keep their numbers in messages
             quaternions[~known] = (0, 0, 0, 1)
-            return np.column_stack([position, np.where(known, checked_heading(self.table, quaternions), np.nan)])
+            return np.column_stack([position, np.where(known, cells.checked_heading(self.table, quaternions), np.nan)])
         return position
 
-    def answered(self, **checks: str) -> tuple[Doubt, ...]:
+    def answered(self, **checks: str) -> tuple[cells.Doubt, ...]:
         """The checks {role: name} of units that the options state: such a doubt has no sentence."""
-        stated = (
-            check for role, check in checks.items() if self.has(role) and self.options.unit(MEASURES[role], self.kind)
-        )
-        return tuple((check, "") for check in stated)
+        found = {role: check for role, check in checks.items() if self.has(role)}
+        return tuple((check, "") for role, check in found.items() if self.options.unit(MEASURES[role], self.kind))
 
     def refuse(
         self, role: str, values: Array, limit: float, message: str, measure: str = "", *, also: str = ""
@@ -354,7 +334,7 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
         rows = reader.poses()
     ns, order, notes = ordered(reader.table, ns)
     rows = rows[order]
-    more, doubts = repeated_times("odometry", table, ns, rows, np.arange(len(ns))[order])
+    more, doubts = cells.repeated_times("odometry", table, ns, rows, np.arange(len(ns))[order])
     notes += of_wheels + more
     dt = np.diff(ns) / 1e9
     if len(dt) and not reader.stated("t") and (middle := float(np.median(dt))) > LONGEST:
@@ -373,28 +353,27 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts)
 
 
-def _sideways_speed(reader: Reader, speed: Array) -> tuple[Doubt, ...]:
+def _sideways_speed(reader: Reader, speed: Array) -> tuple[cells.Doubt, ...]:
     """A doubt where a column has speeds sideways of a robot with speeds (N,) ahead."""
     if not reader.has("vy"):
         return ()
     lateral = reader.numbers("vy", finite=False)[:, 0]
     # it is no column of the controls
     del reader.used["vy"]
-    return sideways_speed(reader.table, reader.table.title(reader.found["vy"].column), speed, lateral)
+    return cells.sideways_speed(reader.table, reader.table.title(reader.found["vy"].column), speed, lateral)
 
 
-def _controls(reader: Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.ndarray, tuple[Doubt, ...]]:
+def _controls(reader: Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.ndarray, tuple[cells.Doubt, ...]]:
     """The controls between poses of odometry, their times, and doubts."""
     # of several rows with one time the last holds
     last = np.append(np.diff(ns) > 0, True)
     poses, ns = poses[last], ns[last]
-    dt = np.diff(ns) / 1e9
-    controls, sideways = controls_between(poses, dt)
+    controls, sideways = cells.controls_between(poses, np.diff(ns) / 1e9)
     speed, turn = np.abs(controls[:-1]).T
     heading = "theta" if reader.has("theta") else "x"
     reader.refuse_many(heading, turn, QUICKEST, "the headings turn by {:g} rad/s: are they in degrees?", "angles")
     reader.refuse_many("x", speed, FASTEST, "the poses move by {:g} m/s: are they in mm?")
-    return controls, ns, sideways_poses(reader.table, sideways)
+    return controls, ns, cells.sideways_poses(reader.table, sideways)
 
 
 def sightings_of(table: Table, options: TableOptions) -> Timed:
@@ -410,7 +389,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     others = [role for role in ("range", "bearing") if not cartesian and not reader.has(role)]
     # what is missing, as far as there are columns that may be it
     reader.need("t", *(others if not reader.has("t") and len(reader.unused) > len(others) else ()))
-    taken, doubted = tuple[str, ...](), tuple[Doubt, ...]()
+    taken, doubted = tuple[str, ...](), tuple[cells.Doubt, ...]()
     if cartesian:
         axes, taken, doubted = chosen_axes(reader.table, reader.found, options.axes)
         options = reader.options = replace(options, axes=axes)
@@ -456,7 +435,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     ns, order, more = ordered(reader.table, ns)
     ids, rows = found.numbers[order], rows[order]
     rows[:, 1:] = wrap(rows[:, 1:])
-    doubts = doubted + repeated_sightings(table, ns, ids, rows, np.arange(len(ns))[order])
+    doubts = doubted + cells.repeated_sightings(table, ns, ids, rows, np.arange(len(ns))[order])
     doubts += reader.answered(range="range unit", x="range unit")
     classes, remarks = reader.classes()
     classes = None if classes is None else classes[order]
@@ -465,14 +444,14 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     return Timed(table, ns, rows, reader.described(), ids, notes, doubts, classes, found.names)
 
 
-def _ids(reader: Reader) -> Ids:
+def _ids(reader: Reader) -> cells.Ids:
     """The ids of the sightings; `UNIDENTIFIED` where there is no column of them."""
     table = reader.table
     if not reader.has("id"):
         missing = reader.missing("id", consequence=", so no landmark is identified")
-        return Ids(np.full(len(table), UNIDENTIFIED), notes=(f"{table.source}: {missing}",))
+        return cells.Ids(np.full(len(table), UNIDENTIFIED), notes=(f"{table.source}: {missing}",))
     reader.need("id")
-    return ids_of(table, reader.found["id"].column)
+    return cells.ids_of(table, reader.found["id"].column)
 
 
 def truth_of(table: Table, options: TableOptions) -> Timed:
@@ -489,11 +468,11 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
     notes: tuple[str, ...] = ()
     if not known.all():
         notes = (f"{table.source}: {np.sum(~known)} of {len(known)} rows have no pose and are left out",)
-    if rows.shape[1] == 3 and not reader.has("qz") and not counts_turns(rows[known]):
+    if rows.shape[1] == 3 and not reader.has("qz") and not cells.counts_turns(rows[known]):
         reader.refuse("theta", rows[:, 2], FOUR_TURNS, TURNED)
     rows[:, 2:] = wrap(rows[:, 2:])
     kept = np.flatnonzero(known)
     ns, order, more = ordered(reader.table, ns[kept], kept)
     rows = rows[kept][order]
-    few, doubts = repeated_times("truth", table, ns, rows, kept[order])
+    few, doubts = cells.repeated_times("truth", table, ns, rows, kept[order])
     return Timed(table, ns, rows, reader.described(), notes=(*notes, *more, *few), doubts=doubts)

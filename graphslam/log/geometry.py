@@ -18,8 +18,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from ..errors import LogError, named
-from ..errors.checks import QUICKEST
+from ..errors import LogError, checks, named
 from ..se2 import Array
 from .cells import Doubt
 from .table import Chosen, Table, plain
@@ -112,7 +111,7 @@ def controls_of(table: Table, speeds: Array, track: float | None) -> tuple[Array
     note = "nu is the mean of the speeds of the left and the right wheel"
     if track is not None:
         omega = (right - left) / track
-        if len(omega) and (usual := float(np.quantile(np.abs(omega), 0.95))) > QUICKEST:
+        if len(omega) and (usual := float(np.quantile(np.abs(omega), 0.95))) > checks.QUICKEST:
             message = f"by the speeds of the wheels the robot turns by {usual:.3g} rad/s: is track in metres?"
             raise table.error(None, message)
         errors = "errors of this track and of the wheels' scales are wheel_scale, turn_scale and curvature_bias"
@@ -197,6 +196,4 @@ def _shown(table: Table, columns: dict[str, int]) -> str | None:
     # along a straight way the distance to the side stays, too, so that the one ahead changes by far the most
     optical = ahead[2] and (y < _STAYS * min(x, z) or max(x, y) < _STAYS * z)
     robot = z < _STAYS * min(x, y) or (ahead[0] and max(y, z) < _STAYS * x)
-    if optical == robot:
-        return None
-    return "optical" if optical else "forward-left"
+    return None if optical == robot else "optical" if optical else "forward-left"

@@ -101,8 +101,7 @@ def _noise(reader: Reader, oriented: np.ndarray) -> Array:
             if reader.has(role) and j < d:
                 covariances[:, i, j] = covariances[:, j, i] = reader.numbers(role, finite=bool(j < 2))[:, 0]
     else:
-        one = reader.has("sigma") and not reader.has("sigma_x")
-        roles = ("sigma", "sigma") if one else ("sigma_x", "sigma_y")
+        roles = ("sigma", "sigma") if reader.has("sigma") and not reader.has("sigma_x") else ("sigma_x", "sigma_y")
         reader.need(*roles, instead=", and none for cov_xx, cov_yy instead of standard deviations")
         deviations = reader.numbers(*roles)
         if d == 3:
@@ -414,16 +413,12 @@ def end_to_end(first: Log, second: Log) -> Log:
     # where one of them has true poses and no path, there is none of both
     has_path = all(each.true_path is not None for each in (a, b) if each.true_poses is not None)
     return a.replace(
-        dt=np.concatenate([a.dt, [APART], b.dt]),
-        controls=np.concatenate([a.controls, np.zeros((1, 2)), b.controls]),
+        dt=np.concatenate([a.dt, [APART], b.dt]), controls=np.concatenate([a.controls, np.zeros((1, 2)), b.controls]),
         control_starts=np.concatenate([a.control_starts, pieces + b.control_starts]),
         control_variances=np.concatenate([of_first, [np.array(ANYWHERE) / APART**2], of_second]),
         recorded_dt=np.concatenate([recorded[0], [APART], recorded[1]]),
-        steps=np.concatenate([a.steps, poses + b.steps]),
-        landmarks=both("landmarks"),
-        sightings=both("sightings"),
-        classes=both("classes"),
-        initial_poses=both("initial_poses"),
+        steps=np.concatenate([a.steps, poses + b.steps]), landmarks=both("landmarks"), sightings=both("sightings"),
+        classes=both("classes"), initial_poses=both("initial_poses"),
         true_poses=with_unknown("true_poses", (poses, b.num_poses)),
         true_path=with_unknown("true_path", (pieces, len(b.controls) + 1)) if has_path else None,
         true_landmarks={**(b.true_landmarks or {}), **(a.true_landmarks or {})} or None,

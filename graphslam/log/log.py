@@ -11,37 +11,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import LogError, OptionError, printable, quoted
-from ..errors.checks import (
-    WHOLE_TURN,
-    array_of,
-    check_positive,
-    check_type,
-    checked_deviations,
-    checked_offset,
-    first,
-    singular,
-)
+from ..errors import LogError, OptionError, checks, printable, quoted
 from ..models import MotionModel, SensorModel, additional_variances
 from ..se2 import Array, mounted, wrap
-from .measurements import (
-    MEASURED,
-    AbsolutePositions,
-    Measured,
-    PartialSightings,
-    PoseRelations,
-    Session,
-    check_sessions,
-    checked_classes,
-    checked_landmarks,
-    checked_starts,
-    checked_steps,
-    checked_truth,
-    finite_floats,
-    length_of,
-    same,
-    whole_numbers,
-)
+from . import measurements
+from .measurements import finite_floats, length_of, whole_numbers
 from .rows import NO_CLASS, NO_ID, UNIDENTIFIED, without_no_id
 
 
@@ -105,9 +79,9 @@ class Log:
     landmarks: np.ndarray = ()  # type: ignore[assignment]
     sightings: Array = ()  # type: ignore[assignment]
     classes: np.ndarray | None = None
-    relations: PoseRelations | None = None
-    positions: AbsolutePositions | None = None
-    partial_sightings: PartialSightings | None = None
+    relations: measurements.PoseRelations | None = None
+    positions: measurements.AbsolutePositions | None = None
+    partial_sightings: measurements.PartialSightings | None = None
     initial_poses: Array = None  # type: ignore[assignment]  # filled in by __post_init__
     true_poses: Array | None = None
     true_path: Array | None = None
@@ -121,7 +95,7 @@ class Log:
     sensor: SensorModel | None = None
     uncertain: Mapping[str, float] | None = field(default=None, compare=False)
     simulated: bool = field(default=False, compare=False)
-    sessions: tuple[Session, ...] = field(default=(), compare=False)
+    sessions: tuple[measurements.Session, ...] = field(default=(), compare=False)
     name: str = field(default="log", compare=False)
     notes: tuple[str, ...] = field(default=(), compare=False)
     doubts: tuple[tuple[str, str], ...] = field(default=(), compare=False)
@@ -129,8 +103,8 @@ class Log:
     from_tables: ClassVar[Callable[..., Log]]
 
     def __post_init__(self) -> None:
-        check_type(MotionModel, motion=self.motion)
-        check_type(SensorModel, sensor=self.sensor)
+        checks.check_type(MotionModel, motion=self.motion)
+        checks.check_type(SensorModel, sensor=self.sensor)
         values = self._checked_controls()
         values["name"] = printable(str(self.name))
         starts = values["control_starts"]
@@ -145,24 +119,24 @@ class Log:
         values["initial_poses"] = initial
         values |= self._checked_sightings(len(initial))
         if self.true_poses is not None:
-            values["true_poses"] = checked_truth(self.true_poses, initial.shape)
+            values["true_poses"] = measurements.checked_truth(self.true_poses, initial.shape)
         if self.true_path is not None:
             if self.true_poses is None or starts is None:
                 raise LogError("true_path without true_poses or controls: leave it out")
-            values["true_path"] = checked_truth(self.true_path, (starts[-1] + 1, 3), "true_path")
-        for name, kind in MEASURED.items():
-            check_type(kind, **{name: getattr(self, name)})
+            values["true_path"] = measurements.checked_truth(self.true_path, (starts[-1] + 1, 3), "true_path")
+        for name, kind in measurements.MEASURED.items():
+            checks.check_type(kind, **{name: getattr(self, name)})
         for name, measured in self.measured.items():
             measured.check_steps(name, len(initial))
-        check_sessions(self.sessions, len(initial))
-        values["truth_offset"] = checked_offset("truth_offset", self.truth_offset)
+        measurements.check_sessions(self.sessions, len(initial))
+        values["truth_offset"] = checks.checked_offset("truth_offset", self.truth_offset)
         if self.true_landmarks is not None:
-            values["true_landmarks"] = checked_landmarks(self.true_landmarks)
+            values["true_landmarks"] = measurements.checked_landmarks(self.true_landmarks)
             if NO_ID in values["true_landmarks"]:
                 raise LogError("true_landmarks has the id -1, which stands for no id: give this landmark another one")
         if self.uncertain is not None:
-            values["uncertain"] = checked_deviations("uncertain", self.uncertain)
-        start = array_of("start_time", self.start_time)
+            values["uncertain"] = checks.checked_deviations("uncertain", self.uncertain)
+        start = checks.array_of("start_time", self.start_time)
         if start.shape != () or not np.isfinite(start):
             raise LogError(f"start_time is {quoted(self.start_time)}; it must be a finite number of seconds")
         values["start_time"] = float(start)
@@ -183,15 +157,15 @@ class Log:
             return {"control_starts": None}
         empty = np.zeros((0, 2))  # [] has no columns
         controls = empty if length_of(self.controls) == 0 else finite_floats("controls", self.controls, (None, 2))
-        dt = array_of("dt", self.dt)
+        dt = checks.array_of("dt", self.dt)
         dt = finite_floats("dt", np.full(len(controls), dt) if dt.ndim == 0 else dt, (len(controls),))
-        if (k := first(dt <= 0)) is not None:
+        if (k := checks.first(dt <= 0)) is not None:
             raise LogError(f"dt[{k}] is {dt[k]:g}, but a motion must last longer than 0 s")
         values = {"dt": dt, "controls": controls, "control_starts": np.arange(len(controls) + 1)}
         if self.control_starts is not None:
-            values["control_starts"] = checked_starts(self.control_starts, len(controls))
+            values["control_starts"] = measurements.checked_starts(self.control_starts, len(controls))
         if self.control_variances is not None:
-            given = array_of("control_variances", self.control_variances)
+            given = checks.array_of("control_variances", self.control_variances)
             columns = 2 if given.ndim == 2 and given.shape[1] == 2 else 3
             variances = finite_floats("control_variances", given, (len(controls), columns))
             values["control_variances"] = additional_variances(variances, len(controls))
@@ -199,7 +173,7 @@ class Log:
                 raise LogError(f"control_variances has the entry {variances.min():g}, but a variance is not negative")
         if self.recorded_dt is not None:
             recorded = finite_floats("recorded_dt", self.recorded_dt, (len(controls),))
-            if (k := first(recorded < dt * (1 - 1e-9))) is not None:
+            if (k := checks.first(recorded < dt * (1 - 1e-9))) is not None:
                 raise LogError(f"recorded_dt[{k}] is {recorded[k]:g} s, less than dt[{k}], {dt[k]:g} s, a piece of it")
             # whole controls need no mention
             whole = np.allclose(recorded, dt, rtol=1e-9, atol=0)
@@ -208,31 +182,31 @@ class Log:
 
     def _checked_sightings(self, poses: int) -> dict[str, Any]:
         """Steps, landmarks and sightings, checked."""
-        sightings = array_of("sightings", self.sightings)
+        sightings = checks.array_of("sightings", self.sightings)
         if sightings.size == 0:
             sightings = sightings.reshape(0, sightings.shape[-1] if sightings.ndim == 2 else 3)
         if sightings.ndim != 2 or sightings.shape[1] not in (2, 3):
             raise LogError(f"sightings must have shape (M, 2) or (M, 3), not {sightings.shape}")
         sightings = finite_floats("sightings", sightings, sightings.shape)
-        if (k := first(sightings[:, 0] <= 0)) is not None:
+        if (k := checks.first(sightings[:, 0] <= 0)) is not None:
             raise LogError(f"sighting {k} has range {sightings[k, 0]:g} m; a range must be above zero")
         # single angles may have turns in them, but most of them only in degrees
         usual = np.median(np.abs(sightings[:, 1:]), axis=0).max() if len(sightings) > 2 else 0.0
-        if usual > WHOLE_TURN:
+        if usual > checks.WHOLE_TURN:
             raise LogError(
                 f"half of the bearings or orientations are beyond 2 pi (median {usual:.3g} rad): are they in degrees? Give "
                 "radians, np.deg2rad(...); if they are in radians, wrap them to [-pi, pi) with graphslam.se2.wrap"
             )
         sightings[:, 1:] = wrap(sightings[:, 1:])
         steps, landmarks = (whole_numbers(name, getattr(self, name), len(sightings)) for name in ("steps", "landmarks"))
-        if (k := first((steps < 0) | (steps >= poses))) is not None:
+        if (k := checks.first((steps < 0) | (steps >= poses))) is not None:
             raise LogError(f"sighting {k} belongs to step {steps[k]}, but the log has steps 0 to {poses - 1}")
-        if (k := first(np.diff(steps) < 0)) is not None:
+        if (k := checks.first(np.diff(steps) < 0)) is not None:
             message = f"sighting {k + 1} runs backwards, from step {steps[k]} to {steps[k + 1]}: sort sightings by step"
             raise LogError(message)
         if note := without_no_id(landmarks, "sighting"):
             object.__setattr__(self, "notes", (*self.notes, *note))
-        classes = None if self.classes is None else checked_classes(self.classes, len(sightings))
+        classes = None if self.classes is None else measurements.checked_classes(self.classes, len(sightings))
         return {"steps": steps, "landmarks": landmarks, "sightings": sightings, "classes": classes}
 
     def with_sightings(self, kept: np.ndarray, **changes: Any) -> Log:
@@ -254,9 +228,9 @@ class Log:
         return f"<Log {self.name}: {self.sizes}, with {known or 'neither psi nor controls nor truth'}>"
 
     @property
-    def measured(self) -> dict[str, Measured]:
+    def measured(self) -> dict[str, measurements.Measured]:
         """The relations, positions and partial sightings by the names of `MEASURED`, as far as the log has them."""
-        return {name: each for name in MEASURED if (each := getattr(self, name)) is not None}
+        return {name: each for name in measurements.MEASURED if (each := getattr(self, name)) is not None}
 
     def warn_of_unused(self, who: str, but: Sequence[str] = ()) -> None:
         """Warn that ``who`` does not use relations, positions and partial sightings of the log, ``but`` for some kinds."""
@@ -288,18 +262,18 @@ class Log:
     @property
     def sizes(self) -> str:
         """The numbers of poses, sightings and landmarks, in words."""
-        return singular(f"{self.num_poses} poses, {self.seen}")
+        return checks.singular(f"{self.num_poses} poses, {self.seen}")
 
     @property
     def seen(self) -> str:
         """The numbers of sightings and landmarks, in words."""
         total, without = len(self.steps), int(np.count_nonzero(self.landmarks == UNIDENTIFIED))
         if 0 < without == total:
-            return singular(f"{total} sightings of unidentified landmarks")
+            return checks.singular(f"{total} sightings of unidentified landmarks")
         some, ids, alone = f" ({without} without an id)" if without else "", self.landmark_ids, ""
         if (single := self.partial_sightings) is not None:
             ids, alone = np.union1d(ids, single.landmarks), f" and {len(single)} with a range or a bearing alone"
-        return singular(f"{total} sightings{some}{alone} of {len(ids)} landmarks")
+        return checks.singular(f"{total} sightings{some}{alone} of {len(ids)} landmarks")
 
     @property
     def identified(self) -> bool:
@@ -336,9 +310,7 @@ class Log:
     @property
     def covered(self) -> np.ndarray:
         """The poses whose true position is known, (T+1,) bool."""
-        if self.true_poses is None:
-            return np.zeros(self.num_poses, dtype=bool)
-        return np.isfinite(self.true_poses[:, 0])
+        return np.zeros(self.num_poses, dtype=bool) if self.true_poses is None else np.isfinite(self.true_poses[:, 0])
 
     def at_truth(self, poses: ArrayLike) -> Array:
         """Poses (..., 3) of the robot, as poses of the point to which the ground truth belongs (``truth_offset``)."""
@@ -396,8 +368,8 @@ class Log:
         Raises:
             OptionError: one of them is no such model.
         """
-        check_type(MotionModel, motion=motion)
-        check_type(SensorModel, sensor=sensor)
+        checks.check_type(MotionModel, motion=motion)
+        checks.check_type(SensorModel, sensor=sensor)
         return motion or self.motion or MotionModel(), sensor or self.sensor or SensorModel()
 
     def _driven(self, motion: MotionModel | None) -> tuple[Array, Array, MotionModel]:
@@ -411,7 +383,7 @@ class Log:
 
     def nearer_than(self, most: float) -> Log:
         """The same log without sightings from farther than ``most`` [m]; bearings alone stay."""
-        check_positive(most=most)
+        checks.check_positive(most=most)
         partial = self.partial_sightings
         near = None if partial is None else partial.among(~(partial.ranges > most))
         return self.with_sightings(self.sightings[:, 0] <= most, partial_sightings=near)
@@ -427,7 +399,7 @@ class Log:
         Raises:
             LogError: there is no such step, or they do not increase.
         """
-        kept = checked_steps(steps, self.num_poses)
+        kept = measurements.checked_steps(steps, self.num_poses)
         changes: dict[str, Any] = {"initial_poses": self.initial_poses[kept]}
         if self.true_poses is not None:
             changes["true_poses"] = self.true_poses[kept]
@@ -462,15 +434,14 @@ class Log:
         if "sightings" in changes and length_of(changes["sightings"]) != len(self.sightings):
             changes = {"classes": None} | changes
         if "controls" in changes and (self.controls is None or length_of(changes["controls"]) != len(self.controls)):
-            of_controls = ("control_starts", "control_variances", "recorded_dt", "true_path")
-            changes = dict.fromkeys(of_controls) | changes
+            changes = dict.fromkeys(("control_starts", "control_variances", "recorded_dt", "true_path")) | changes
         if "true_poses" in changes:
             changes = {"true_path": None} | changes
         return replace(self, **changes)
 
     def equals(self, other: Log) -> bool:
         """Whether both logs hold exactly the same numbers; names and notes are not compared."""
-        return all(same(getattr(self, f.name), getattr(other, f.name)) for f in fields(self) if f.compare)
+        return all(measurements.same(getattr(self, f.name), getattr(other, f.name)) for f in fields(self) if f.compare)
 
 
 def check_is_log(log: object) -> None:

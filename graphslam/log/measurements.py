@@ -53,8 +53,7 @@ def checked_truth(value: ArrayLike, shape: tuple[int, ...], name: str = "true_po
     array = array_of(name, value)
     unknown = np.isnan(array)
     known = finite_floats(name, np.where(unknown, 0.0, array) if array.shape == shape else array, shape)
-    k = first((unknown[:, 0] != unknown[:, 1]) | (unknown[:, 0] & ~unknown[:, 2]))
-    if k is not None:
+    if (k := first((unknown[:, 0] != unknown[:, 1]) | (unknown[:, 0] & ~unknown[:, 2]))) is not None:
         raise LogError(f"{name}[{k}] is {array[k]}; a row must be complete, (x, y, NaN) or all NaN")
     known[unknown] = np.nan
     return known

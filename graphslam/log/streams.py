@@ -81,8 +81,7 @@ def divide(odometry: Stream, times: Array) -> tuple[Array, Array, Array, np.ndar
     cuts = distinct(np.sort(np.concatenate([odometry.times[within], times]), kind="stable"))
     # of several rows with one time the last holds
     row = np.searchsorted(odometry.times, cuts[:-1], side="right") - 1
-    following = np.minimum(row + 1, len(odometry) - 1)
-    silence = odometry.times[following] - odometry.times[row]
+    silence = odometry.times[np.minimum(row + 1, len(odometry) - 1)] - odometry.times[row]
     lasting = np.diff(cuts)
     bridged = silent(silence, odometry.times)
     gaps = silence[bridged][np.unique(row[bridged], return_index=True)[1]].tolist()

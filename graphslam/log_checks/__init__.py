@@ -44,10 +44,8 @@ def check_log(log: Log) -> tuple[Finding, ...]:
     checks += [misread_ids(log, wrong), ids_of(right)]
     if not readings:
         distances, trusted = distances_of(right), not truth
-        checks += [
-            changed_ids(log, distances, trusted=trusted, wrong=wrong),
-            against_map(right, distances, trusted=trusted),
-        ]
+        checks.append(changed_ids(log, distances, trusted=trusted, wrong=wrong))
+        checks.append(against_map(right, distances, trusted=trusted))
     for finding in chain.from_iterable(checks):
         found.setdefault(finding.check, finding)
     return tuple(found.values())
@@ -55,5 +53,4 @@ def check_log(log: Log) -> tuple[Finding, ...]:
 
 def mistakes_of(log: Log) -> tuple[Finding, ...]:
     """Probable mistakes in the numbers of a log, whatever its ids: sizes, readings and orientations."""
-    readings = (*sizes(log), *readings_of(log))
-    return readings or tuple(orientations_of(log))
+    return (*sizes(log), *readings_of(log)) or tuple(orientations_of(log))

@@ -236,9 +236,7 @@ def changed_ids(log: Log, distances: Distances, *, trusted: bool, wrong: np.ndar
     for change in (_in_one_place(log), _by_truth(known) if trusted else None, _by_distances(distances)):
         if change is not None:
             step, evidence = change
-            when = f"step {step}"
-            if log.times is not None:
-                when = f"{log.times[step] - log.start_time:.1f} s after the start"
+            when = f"step {step}" if log.times is None else f"{log.times[step] - log.start_time:.1f} s after the start"
             message = f"landmarks have other ids from about {when} on ({evidence})"
             cause = "a detector may have counted them anew"
             yield Finding("ids change", f"{message}; {cause}")
@@ -376,9 +374,8 @@ def _in_one_place(log: Log) -> tuple[int, str] | None:
     if (number >= _FEWEST_CHANGED and number > _MORE * kept) or (
         number == _FEWEST_CHANGED - 1 and not kept and not any(far) and again.all()
     ):
-        return int(seen.steps[changed[0]]), ", ".join(
-            f"{ids[partner[k]]} becomes {ids[k]}" for k in changed[:3].tolist()
-        )
+        renamed = ", ".join(f"{ids[partner[k]]} becomes {ids[k]}" for k in changed[:3].tolist())
+        return int(seen.steps[changed[0]]), renamed
     return None
 
 

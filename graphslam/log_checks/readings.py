@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import decimals
-from ..errors.checks import FARTHEST, FASTEST, LONGEST, QUICKEST
+from ..errors import checks, decimals
 from ..log import Log
 from ..log.rows import UNIDENTIFIED
 from ..models import MotionModel, SensorModel
@@ -105,12 +104,7 @@ def readings_of(log: Log) -> Iterator[Finding]:
         # fixed axes, which are those of a turned sensor where the robot drives straight on
         best = min(
             (reading for reading in likely if reading.error <= _ALIKE * least),
-            key=lambda reading: (
-                reading.check == FIXED,
-                "about" in reading.message,
-                reading.check == "clock",
-                reading.error,
-            ),
+            key=lambda each: (each.check == FIXED, "about" in each.message, each.check == "clock", each.error),
         )
         times = f"{best.given / best.error:.1f}" if best.error > 0 else "infinitely many"
         yield Finding(best.check, f"{best.message}: read like this, they fit the odometry {times} times better")
@@ -381,18 +375,18 @@ def sizes(log: Log) -> Iterator[Finding]:
 
 def _sizes(log: Log) -> Iterator[Finding]:
     yield from single_pose(log)
-    if len(log.sightings) and (far := float(np.median(log.sightings[:, 0]))) > FARTHEST:
+    if len(log.sightings) and (far := float(np.median(log.sightings[:, 0]))) > checks.FARTHEST:
         yield Finding("range unit", f"half of the ranges are above {decimals(far, 0)} m; they may be in millimetres")
     yield from nothing_measured(log.sightings[:, 0])
     if log.controls is None or log.dt is None or len(log.controls) == 0:
         return
     speed, turn = np.quantile(np.abs(log.controls), 0.95, axis=0)
-    if speed > FASTEST:
+    if speed > checks.FASTEST:
         yield Finding("speed unit", f"the speed reaches {decimals(speed, 0)} m/s; it may be in mm/s")
     within = float(np.median(np.abs(log.controls[:, 1]) * log.dt))
-    if turn > QUICKEST or within > np.pi:
+    if turn > checks.QUICKEST or within > np.pi:
         yield Finding("turn rate unit", f"the turn rate reaches {turn:.1f} rad/s; it may be in degrees per second")
-    if (lasting := float(np.median(log.dt))) > LONGEST:
+    if (lasting := float(np.median(log.dt))) > checks.LONGEST:
         yield Finding("time unit", f"controls last {lasting:g} s (median); the times may be in milliseconds")
     if not np.any(log.controls):
         yield Finding("no motion", "all controls are zero; the odometry may be another column or topic")

@@ -90,9 +90,8 @@ class Sessions:
             OptionError: there is another number of rows.
         """
         if length_of(rows) != self.starts[-1]:
-            raise OptionError(
-                f"split takes an array of {self.starts[-1]} rows, such as solution.poses, not {quoted(rows)}"
-            )
+            message = f"split takes an array of {self.starts[-1]} rows, such as solution.poses, not {quoted(rows)}"
+            raise OptionError(message)
         return np.split(np.asarray(rows), self.starts[1:-1])
 
 

@@ -291,9 +291,7 @@ def _between(rng: np.random.Generator, low: float, high: float) -> float:
 def _noise_of_sensor(kind: str, rng: np.random.Generator) -> SensorModel:
     """The noise of a sensor, over more than a decade; one in ten is almost perfect."""
     typical, part = SENSORS[kind], 0.1 if rng.random() < 0.1 else 1.0
-    return replace(
-        typical, **{name: getattr(typical, name) * (_between(rng, 0.3, 3.0) * part) for name in typical.NOISE}
-    )
+    return replace(typical, **{n: getattr(typical, n) * (_between(rng, 0.3, 3.0) * part) for n in typical.NOISE})
 
 
 def _noise_of_wheels(rate: float, rng: np.random.Generator) -> tuple[MotionModel, bool]:

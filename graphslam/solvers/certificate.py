@@ -242,9 +242,8 @@ def _add(taken: Any, edges: ConstantEdges, nodes: int) -> None:
     if edges.turn is not None:
         check_rows(edges, turn=(count,))
     if len(edges.second) != count or np.any(edges.first < -1) or np.any(edges.second < 0):
-        raise GraphError(
-            "constant() of a family must name two nodes for each edge, of which the first may be -1, the world"
-        )
+        message = "constant() of a family must name two nodes for each edge, of which the first may be -1, the world"
+        raise GraphError(message)
     if count and max(edges.first.max(), edges.second.max()) >= nodes:
         raise GraphError(f"constant() of a family names a node above the last one, {nodes - 1}")
     arrays = edges.first, edges.second, edges.start, edges.end, edges.turn, edges.information

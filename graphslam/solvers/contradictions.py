@@ -39,14 +39,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..edges import (
-    LandmarkPriors,
-    ObservationEdges,
-    PolarObservationEdges,
-    PositionEdges,
-    PriorEdges,
-    RelationEdges,
-)
+from ..edges import LandmarkPriors, ObservationEdges, PolarObservationEdges, PositionEdges, PriorEdges, RelationEdges
 from ..errors import GraphError
 from ..errors.checks import listed
 from ..graph import Graph
@@ -448,9 +441,8 @@ def without_slips_of(solution: Solution, again: Callable[[Graph], Solution] | No
         )
     except (FactorizationError, np.linalg.LinAlgError):
         return solution, ()
-    sentences = [slip.sentence(log) for slip in slips] + (
-        [left.sentence(log, corrected=False)] if left is not None else []
-    )
+    sentences = [slip.sentence(log) for slip in slips]
+    sentences += [left.sentence(log, corrected=False)] if left is not None else []
     return solution, tuple(sentences)
 
 

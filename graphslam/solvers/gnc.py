@@ -27,21 +27,10 @@ from typing import Any
 
 import numpy as np
 
-from ..edges import (
-    BearingEdges,
-    DoubtedEdges,
-    MarginalEdges,
-    ObservationEdges,
-    PositionEdges,
-    RangeEdges,
-    RelationEdges,
-    SightingEdges,
-    VirtualMotionEdges,
-)
+from .. import edges
 from ..edges.robust import Cauchy
 from ..engine import engine
-from ..errors import GraphError, OptionError
-from ..errors.checks import singular
+from ..errors import GraphError, OptionError, checks
 from ..graph import Graph
 from ..graph.transform import poses_only, with_landmark_nodes
 from ..se2 import Array
@@ -92,7 +81,7 @@ def solve_gnc(graph: Graph, initialize: str, tolerance: float, *, max_rounds: in
     found = _trust_by_kind(weighted)
     known = {kind: each for kind, each in found.items() if len(each)}
     which = " and ".join(f"{np.count_nonzero(each < REJECTED)} of {len(each)} {kind}" for kind, each in known.items())
-    note = singular(f"graduated non-convexity rejected {which} in {best.rounds} rounds")
+    note = checks.singular(f"graduated non-convexity rejected {which} in {best.rounds} rounds")
     in_sightings: Array | None = found.pop("sightings", None)
     if graph.log is not None and in_sightings is not None:
         of_edges, in_sightings = in_sightings, np.full(len(graph.log.steps), np.nan)
@@ -111,11 +100,11 @@ def solve_gnc(graph: Graph, initialize: str, tolerance: float, *, max_rounds: in
 
 #: what the measurements of edges are called
 KINDS = {
-    SightingEdges: "sightings",
-    RelationEdges: "relations",
-    RangeEdges: "ranges alone",
-    BearingEdges: "bearings alone",
-    PositionEdges: "positions",
+    edges.SightingEdges: "sightings",
+    edges.RelationEdges: "relations",
+    edges.RangeEdges: "ranges alone",
+    edges.BearingEdges: "bearings alone",
+    edges.PositionEdges: "positions",
 }
 
 
@@ -123,9 +112,9 @@ def _trust_by_kind(graph: Graph) -> dict[str, Array]:
     """The trust in the sightings of the edges, in the relations, and in the positions, as far as there are any."""
     found: dict[str, Array] = {}
     for family in graph.families:
-        if isinstance(family, DoubtedEdges):
+        if isinstance(family, edges.DoubtedEdges):
             trust = family.trusted if family.trust is None else family.trust
-            if isinstance(family, PositionEdges) and graph.log is not None and graph.log.positions is not None:
+            if isinstance(family, edges.PositionEdges) and graph.log is not None and graph.log.positions is not None:
                 rows = graph.log.positions.oriented == (family.dimension == 3)
                 found.setdefault("positions", np.ones(len(rows)))[rows] = trust
             else:
@@ -135,7 +124,7 @@ def _trust_by_kind(graph: Graph) -> dict[str, Array]:
 
 def _at_robust_parameters(graph: Graph, initialize: str) -> Graph:
     """The graph at parameters that a robust kernel finds: at wrong parameters correct sightings would be rejected."""
-    robust = graph.with_changed(SightingEdges, lambda f: replace(f, kernel=Cauchy()))
+    robust = graph.with_changed(edges.SightingEdges, lambda f: replace(f, kernel=Cauchy()))
     found = minimize(robust, initialize, rough(graph))
     assert found.graph is not None
     return corrected(graph, found.graph.estimated.values, found.state).with_initial(found.state)
@@ -152,16 +141,16 @@ class _Doubts:
     """
 
     graph: Graph
-    sightings: MarginalEdges | None
+    sightings: edges.MarginalEdges | None
     probability: float
 
     def rounds(self, state: Array, trust: Array | None = None, steps: int = STEPS) -> Any:
         """The rounds in the engine (``engine/include/vmslam/solve/graduated.hpp``), from a state (n, 3) and trust (N,)."""
         trusting, about_landmarks = self._trusting, None if self.sightings is None else self.sightings.in_engine
         doubted = tuple(
-            (k, self.limit(f.dimension), about_landmarks if isinstance(f, SightingEdges) else None)
+            (k, self.limit(f.dimension), about_landmarks if isinstance(f, edges.SightingEdges) else None)
             for k, f in enumerate(trusting.families)
-            if isinstance(f, DoubtedEdges)
+            if isinstance(f, edges.DoubtedEdges)
         )
         trust = np.ones(trusting.measurements) if trust is None else trust
         return engine.Graduation(trusting.objective, doubted, rough(trusting), steps, state, trust)
@@ -189,7 +178,7 @@ class _Doubts:
     def cost(self, sequence: Trusted) -> float:
         """The truncated squares of the measurements, and the cost of all other edges."""
         state = sequence.state
-        others = sum(f.cost(state, state) for f in self.graph.families if not isinstance(f, DoubtedEdges))
+        others = sum(f.cost(state, state) for f in self.graph.families if not isinstance(f, edges.DoubtedEdges))
         return float(self.rounds(state, sequence.trust).truncated + others)
 
 
@@ -197,27 +186,27 @@ def _by_landmark(graph: Graph) -> tuple[Graph, np.ndarray]:
     """The graph with landmark nodes, without kernels, its sightings by landmark, and the order (N,) of its measurements."""
     nodes = (with_landmark_nodes(graph) or graph).without_kernel
     order = np.arange(nodes.measurements)
-    edges = next((family for family in nodes.families if isinstance(family, ObservationEdges)), None)
-    if edges is not None:
-        order[: len(edges.first)] = np.lexsort((edges.first, edges.second))
-        by_landmark = edges.among(order[: len(edges.first)])
-        nodes = replace(nodes, families=tuple(by_landmark if f is edges else f for f in nodes.families))
+    seen = next((family for family in nodes.families if isinstance(family, edges.ObservationEdges)), None)
+    if seen is not None:
+        order[: len(seen.first)] = np.lexsort((seen.first, seen.second))
+        by_landmark = seen.among(order[: len(seen.first)])
+        nodes = replace(nodes, families=tuple(by_landmark if f is seen else f for f in nodes.families))
     return nodes.with_initial(place_landmarks(nodes, nodes.initial[: len(nodes.steps)])), order
 
 
-def _grouped(edges: ObservationEdges) -> tuple[Any, ...]:
+def _grouped(seen: edges.ObservationEdges) -> tuple[Any, ...]:
     """The arguments of `LandmarkSightings` for sightings that are ordered by landmark."""
-    ends = np.flatnonzero(np.diff(edges.second, append=-1)) + 1
-    return np.append(0, ends), edges.first, edges.sightings, edges.sensor
+    ends = np.flatnonzero(np.diff(seen.second, append=-1)) + 1
+    return np.append(0, ends), seen.first, seen.sightings, seen.sensor
 
 
 def _best_sequence(nodes: Graph, probability: float, max_rounds: int, initialize: str) -> Trusted:
     """The best of the ends on landmark nodes, from a kernel, and on pair edges; the graph is that of `_by_landmark`."""
-    edges = next((family for family in nodes.families if isinstance(family, ObservationEdges)), None)
-    doubts = _Doubts(nodes, None if edges is None else MarginalEdges(*_grouped(edges)), probability)
+    seen = next((family for family in nodes.families if isinstance(family, edges.ObservationEdges)), None)
+    doubts = _Doubts(nodes, None if seen is None else edges.MarginalEdges(*_grouped(seen)), probability)
     if partial_edges(nodes):
         return _from_kernel(doubts, initialize)
-    if edges is None:
+    if seen is None:
         return _of_relations(doubts, max_rounds, initialize)
     best = _sequence(doubts, max_rounds, initialize)
     if best.rounds == 0:
@@ -229,18 +218,17 @@ def _best_sequence(nodes: Graph, probability: float, max_rounds: int, initialize
 
     with suppress(GraphError):  # as below
         best = better(_from_kernel(doubts, initialize))
-    pairs = VirtualMotionEdges(*_grouped(edges))
+    pairs = edges.VirtualMotionEdges(*_grouped(seen))
     if pairs.count > PAIRS:
         return best
     try:
-        paired = replace(doubts, graph=poses_only(nodes, [pairs if f is edges else f for f in nodes.families]))
+        paired = replace(doubts, graph=poses_only(nodes, [pairs if f is seen else f for f in nodes.families]))
         other = _sequence(paired, max_rounds, initialize)
     except GraphError:
         return best  # without psi, pair edges may leave poses undetermined that landmark nodes determine
     if other.settled:
         # on to the nearest minimum of the truncated squares with landmark nodes
-        state = place_landmarks(nodes.with_trust(other.trust), other.state)
-        rounds = doubts.rounds(state, other.trust)
+        rounds = doubts.rounds(place_landmarks(nodes.with_trust(other.trust), other.state), other.trust)
         rounds.settle()
         other = replace(doubts.after(rounds, other.rounds), settled=True)
     return better(other)
@@ -249,10 +237,10 @@ def _best_sequence(nodes: Graph, probability: float, max_rounds: int, initialize
 def _of_relations(doubts: _Doubts, max_rounds: int, initialize: str) -> Trusted:
     """That of a graph without sightings: from relations that agree, or where that is doubtful the better of two."""
     found: list[Trusted] = []
-    single = [family for family in doubts.graph.families if isinstance(family, DoubtedEdges)]
-    if len(single) == 1 and isinstance(edges := single[0], RelationEdges):
+    single = [family for family in doubts.graph.families if isinstance(family, edges.DoubtedEdges)]
+    if len(single) == 1 and isinstance(related := single[0], edges.RelationEdges):
         with suppress(GraphError):  # the odometry alone does not determine the poses
-            grown = grown_trust(doubts.graph, edges, doubts.limit(edges.dimension), max_rounds, initialize)
+            grown = grown_trust(doubts.graph, related, doubts.limit(related.dimension), max_rounds, initialize)
             found.append(grown)
             if grown.certain:
                 return grown
@@ -264,8 +252,7 @@ def _of_relations(doubts: _Doubts, max_rounds: int, initialize: str) -> Trusted:
 
 def _sequence(doubts: _Doubts, max_rounds: int, initialize: str, steps: int = STEPS) -> Trusted:
     """The sequence from plain squares to squares truncated at c²."""
-    start = minimize(doubts.graph, initialize, rough(doubts.graph)).state
-    rounds = doubts.rounds(start, steps=steps)
+    rounds = doubts.rounds(minimize(doubts.graph, initialize, rough(doubts.graph)).state, steps=steps)
     rounds.graduate(max_rounds)
     return doubts.after(rounds)
 
@@ -276,13 +263,13 @@ def _from_kernel(doubts: _Doubts, initialize: str) -> Trusted:
     Plain squares put landmarks of ranges or bearings alone so far from where they are that the sequence from there rejects
     most of them, and misread ids bend a drive by metres, so that it rejects 12 to 46 % of the sightings for 3.7 to 6.9 %.
     """
-    robust = doubts.graph.with_changed(DoubtedEdges, lambda f: replace(f, kernel=Cauchy()))
+    robust = doubts.graph.with_changed(edges.DoubtedEdges, lambda f: replace(f, kernel=Cauchy()))
     start = minimize(robust, initialize, rough(robust)).state
     squares = []
     for family in doubts.graph.families:
-        if isinstance(family, DoubtedEdges):
-            edges = family.linearize(start, start)
-            r2 = np.einsum("ei,eij,ej->e", edges.residuals, edges.information, edges.residuals)
+        if isinstance(family, edges.DoubtedEdges):
+            linear = family.linearize(start, start)
+            r2 = np.einsum("ei,eij,ej->e", linear.residuals, linear.information, linear.residuals)
             squares.append(r2 <= doubts.limit(family.dimension))
     # means of all sightings of a landmark would not be where the kernel has it
     rounds = doubts.rounds(start, np.concatenate(squares).astype(float))

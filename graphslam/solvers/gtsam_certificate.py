@@ -14,17 +14,8 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..edges import (
-    AnchorEdges,
-    EdgeFamily,
-    MarginalEdges,
-    PositionEdges,
-    RelativePointEdges,
-    RelativePoseEdges,
-    VirtualMotionEdges,
-)
-from ..errors import GraphError, OptionError, quoted
-from ..errors.checks import array_of
+from .. import edges
+from ..errors import GraphError, OptionError, checks, quoted
 from ..factors.description import FactorDescription, describe, key_name
 from ..graph import Graph
 from ..se2 import Array
@@ -37,7 +28,7 @@ LOGARITHM = (gtsam.BetweenFactorPose2, gtsam.PriorFactorPose2)
 
 def edges_of_factors(
     factors: gtsam.NonlinearFactorGraph, values: gtsam.Values
-) -> tuple[list[EdgeFamily], Array, np.ndarray]:
+) -> tuple[list[edges.EdgeFamily], Array, np.ndarray]:
     """The edges of a graph, the state (n, 3) of its values, and the nodes that `gtsam.NonlinearEqualityPose2` holds.
 
     Raises:
@@ -76,7 +67,7 @@ def edges_of_factors(
             raise GraphError(f"{description.kind} has no form with constant information")
         sizes = tuple(len(a[name]) for name in ("measured", "z", "z_1") if name in a)
         groups[description.kind, len(description.keys), sizes, a.get("sensor")].append(description)
-    families: list[EdgeFamily] = []
+    families: list[edges.EdgeFamily] = []
     for (kind, *_), alike in groups.items():
         families += _EDGES[kind](np.array([[node[key] for key in each.keys] for each in alike]), alike)
     return families, state, np.array(fixed, dtype=int)
@@ -104,18 +95,18 @@ def _columns(alike: list[FactorDescription], *names: str) -> list[Array]:
     return [np.array([each.arguments[name] for each in alike]) for name in names]
 
 
-def _anchors(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[EdgeFamily]:
-    yield AnchorEdges(nodes[:, 0], *_columns(alike, "pose", "information"))
+def _anchors(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[edges.EdgeFamily]:
+    yield edges.AnchorEdges(nodes[:, 0], *_columns(alike, "pose", "information"))
 
 
-def _positions(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[EdgeFamily]:
-    yield PositionEdges(nodes[:, 0], *_columns(alike, "measured", "information", "lever"))
+def _positions(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[edges.EdgeFamily]:
+    yield edges.PositionEdges(nodes[:, 0], *_columns(alike, "measured", "information", "lever"))
 
 
-def _relative(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[EdgeFamily]:
+def _relative(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[edges.EdgeFamily]:
     measured, information = zip(*map(_measured, alike))
-    edges = RelativePoseEdges if len(measured[0]) == 3 else RelativePointEdges
-    yield edges(nodes[:, 0], nodes[:, 1], np.array(measured), np.array(information))
+    kind = edges.RelativePoseEdges if len(measured[0]) == 3 else edges.RelativePointEdges
+    yield kind(nodes[:, 0], nodes[:, 1], np.array(measured), np.array(information))
 
 
 def _measured(description: FactorDescription) -> tuple[Array, Array]:
@@ -133,20 +124,20 @@ def _measured(description: FactorDescription) -> tuple[Array, Array]:
     return a["measured"], a["information"]
 
 
-def _many(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[EdgeFamily]:
+def _many(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[edges.EdgeFamily]:
     for own, description in zip(nodes, alike):
         a = description.arguments
         if a["edge_kernel"] is not None and (a["robust"] is None or np.any(a["robust"])):
             raise GraphError(f"the robust kernel of {description} changes the weights with the state")
         first, second, measured, information = map(np.array, map(a.get, ("first", "second", "measured", "information")))
         to_point = second >= len(own) - a["points"]
-        for kind, chosen, d in ((RelativePoseEdges, ~to_point, 3), (RelativePointEdges, to_point, 2)):
+        for kind, chosen, d in ((edges.RelativePoseEdges, ~to_point, 3), (edges.RelativePointEdges, to_point, 2)):
             if chosen.any():
                 ends = own[first[chosen]], own[second[chosen]]
                 yield kind(*ends, measured[chosen, :d], information[chosen, :d, :d])
 
 
-def _virtual(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[EdgeFamily]:
+def _virtual(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[edges.EdgeFamily]:
     z_1, z_2, scale = _columns(alike, "z_1", "z_2", "scale")
     # the information of a pair has the product of the trust in its sightings
     trust = np.repeat(scale**0.5, 2)
@@ -154,10 +145,12 @@ def _virtual(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[Edge
     sensor = alike[0].arguments["sensor"]
     given = [each.arguments["noise_at"] for each in alike]
     noisy = np.array([own if at is None else at for own, at in zip(z, given)]).reshape(nodes.size, -1)
-    yield VirtualMotionEdges(starts, nodes.ravel(), z.reshape(nodes.size, -1), sensor, trust=trust, noise_at=noisy)
+    yield edges.VirtualMotionEdges(
+        starts, nodes.ravel(), z.reshape(nodes.size, -1), sensor, trust=trust, noise_at=noisy
+    )
 
 
-def _landmarks(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[EdgeFamily]:
+def _landmarks(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[edges.EdgeFamily]:
     for own, description in zip(nodes, alike):
         a = description.arguments
         order = np.argsort(own, kind="stable") if a["weight"] == "marginal" else np.arange(len(own))
@@ -165,9 +158,9 @@ def _landmarks(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[Ed
         parts = np.array([0, len(own)]), own[order], a["sightings"][order], a["sensor"]
         noisy = None if a["noise_at"] is None else a["noise_at"][order]
         if a["weight"] == "marginal":
-            yield MarginalEdges(*parts, trust=trust, noise_at=noisy)
+            yield edges.MarginalEdges(*parts, trust=trust, noise_at=noisy)
         else:
-            yield VirtualMotionEdges(*parts, trust=trust, noise_at=noisy, tempered=a["weight"] == "tempered")
+            yield edges.VirtualMotionEdges(*parts, trust=trust, noise_at=noisy, tempered=a["weight"] == "tempered")
 
 
 def _inverse(covariance: Array) -> Array:
@@ -209,16 +202,16 @@ def certify(graph: Graph | gtsam.NonlinearFactorGraph, solution: Solution | Arra
             )
         begin, values = time.perf_counter(), cast(gtsam.Values, solution)
         try:
-            edges, state, fixed = edges_of_factors(graph, values)
+            families, state, fixed = edges_of_factors(graph, values)
         except GraphError as error:
             return Certificate(NOT_APPLICABLE, np.nan, np.nan, str(error), time.perf_counter() - begin)
         # no number where the values violate a NonlinearEqualityPose2
-        return prove_edges(edges, state, fixed, 2 * graph.error(values))
+        return prove_edges(families, state, fixed, 2 * graph.error(values))
     if isinstance(solution, Solution):
         if solution.graph is graph:
             return solution.certificate
         solution = solution.state
-    state = array_of("the state", solution)
+    state = checks.array_of("the state", solution)
     if state.shape != graph.initial.shape and state.shape == graph.trajectory.shape and not len(graph.landmark_ids):
         state = state[graph.steps]
     if state.shape != graph.initial.shape:

@@ -15,8 +15,7 @@ import numpy as np
 from .. import edges
 from .. import factors as factor_types
 from ..edges.robust import Kernel
-from ..errors import GraphError
-from ..errors.checks import check_choice
+from ..errors import GraphError, checks
 from ..graph import Graph
 from ..graph.build import node_names
 from ..se2 import Array
@@ -42,7 +41,7 @@ def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fa
     Raises:
         GraphError: an edge has information without an inverse.
     """
-    check_choice("factors", factors, FACTORS)
+    checks.check_choice("factors", factors, FACTORS)
     for family in graph.families:
         if isinstance(family, edges.RelativePoseEdges | edges.RelativePointEdges):
             _check_information(graph, family)
@@ -121,8 +120,7 @@ def _stacked(
     parts: list[_Part], graph: Graph, reference: Array, frame: str, kernel: Kernel | None
 ) -> Iterator[factor_types.RelativeEdgesFactor]:
     """The edges of several families, those from `TOGETHER` consecutive poses in one factor each."""
-    columns = zip(*((f.first, f.second, robust) for f, robust in parts))
-    first, second, robust = map(np.concatenate, columns)
+    first, second, robust = map(np.concatenate, zip(*((f.first, f.second, robust) for f, robust in parts)))
     measured, information = np.zeros((len(first), 3)), np.tile(np.eye(3), (len(first), 1, 1))
     start = 0
     for f, _ in parts:

@@ -25,8 +25,7 @@ import numpy as np
 from .. import edges
 from .. import factors as factor_types
 from ..engine import engine
-from ..errors import GraphError
-from ..errors.checks import check_choice, check_count, check_positive
+from ..errors import GraphError, checks
 from ..factors.base import POSE, Factor, noise_model, turned, values_at
 from ..graph import Graph, check_graph
 from ..identification.corrections import corrected_controls, motion_slopes, moves
@@ -227,9 +226,9 @@ def solve_with_gtsam(
         OptionError: an option has an impossible value.
     """
     check_graph(graph)
-    check_positive(tolerance=tolerance)
-    check_count(max_iterations=max_iterations)
-    check_choice("range_noise", range_noise, RANGE_NOISES)
+    checks.check_positive(tolerance=tolerance)
+    checks.check_count(max_iterations=max_iterations)
+    checks.check_choice("range_noise", range_noise, RANGE_NOISES)
     solved = partial(_solved, max_iterations=max_iterations, factors=factors)
     again, required = takes_estimated_ranges(graph, range_noise), range_noise == "estimated"
     run = partial(at_estimated_ranges, solved=solved, required=required) if again else solved

@@ -35,31 +35,11 @@ from typing import Any
 
 import numpy as np
 
-from ..edges import (
-    AnchorEdges,
-    DoubtedEdges,
-    ObservationEdges,
-    PartialEdges,
-    PriorEdges,
-    RelationEdges,
-    RelativePoseEdges,
-    SightingEdges,
-)
+from .. import edges
 from ..engine import engine
-from ..errors import GraphError, quoted
-from ..errors.checks import check_choice
-from ..graph import Graph
+from ..errors import GraphError, checks, quoted
+from ..graph import Graph, transform
 from ..graph.defaults import into_world
-from ..graph.transform import (
-    coarse,
-    filled,
-    first_poses,
-    first_seen,
-    of_nodes,
-    with_cartesian_sightings,
-    without_landmarks,
-    without_positions,
-)
 from ..graph.trilateration import Places, other_places, places_of
 from ..maps.localization import registered
 from ..se2 import Array, chained, compose, wrap
@@ -72,7 +52,7 @@ def rotation_first(graph: Graph) -> Array:
     Raises:
         GraphError: the edges do not connect all headings (no psi and no motion edges, for instance).
     """
-    graph, state = with_cartesian_sightings(graph) or graph, graph.initial.copy()
+    graph, state = transform.with_cartesian_sightings(graph) or graph, graph.initial.copy()
     held = _held(graph, state)
     try:
         state, unturned, untied, unlisted = engine.rotation_first(graph.objective, state, held, len(graph.steps))
@@ -81,9 +61,8 @@ def rotation_first(graph: Graph) -> Array:
         raise GraphError(f"initialize='rotation-first': {error}") from None
     if unlisted >= 0:
         related = graph.names(np.array([unlisted]))
-        raise GraphError(
-            f"headings() or positions() of a family relates {related} to a node that shares no group of cliques()"
-        )
+        message = f"headings() or positions() of a family relates {related} to a node that shares no group of cliques()"
+        raise GraphError(message)
     if unturned:
         nodes = graph.names(np.array(unturned))
         raise GraphError(f"initialize='rotation-first' needs edges that measure relative headings; {nodes} have none")
@@ -116,7 +95,7 @@ def odometry(graph: Graph, initialize: str) -> tuple[Array, Array]:
     step, information = np.full((len(graph.steps), 3), np.nan), np.zeros((len(graph.steps), 3, 3))
     step[:1] = 0.0
     for family in graph.families:
-        if isinstance(family, RelativePoseEdges) and not isinstance(family, RelationEdges):
+        if isinstance(family, edges.RelativePoseEdges) and not isinstance(family, edges.RelationEdges):
             # several edges may lead to the next pose; the first in the file is the odometry
             following = np.flatnonzero(family.second == family.first + 1)[::-1]
             step[family.second[following]] = family.measured[following]
@@ -141,7 +120,7 @@ def place_landmarks(graph: Graph, poses: Array) -> Array:
     """
     state = np.concatenate([poses, graph.initial[len(graph.steps) :]])
     for family in graph.families:
-        if isinstance(family, ObservationEdges):
+        if isinstance(family, edges.ObservationEdges):
             d = family.sightings.shape[1]
             y, trust = family.sensor.h_inverse(state[family.first], family.sightings), family.trusted
             columns = [y[:, 0], y[:, 1]] + ([np.cos(y[:, 2]), np.sin(y[:, 2])] if d == 3 else [])
@@ -163,7 +142,7 @@ def _held(graph: Graph, state: Array) -> np.ndarray:
     """
     held = [graph.fixed]
     for family in graph.families:
-        if isinstance(family, (AnchorEdges, PriorEdges)):
+        if isinstance(family, (edges.AnchorEdges, edges.PriorEdges)):
             state[family.nodes] = family.values
             held.append(family.nodes)
     if graph.map is not None:
@@ -181,10 +160,11 @@ def sequential_start(graph: Graph, poses: int) -> Array:
         GraphError: no chain of motion edges leads through all poses, or a family of edges cannot be divided.
     """
     parents, offsets = _tree(graph)
-    state = engine.grow(graph.objective, graph.initial, len(graph.steps), poses, parents, offsets, first_seen(graph))
+    seen = transform.first_seen(graph)
+    state = engine.grow(graph.objective, graph.initial, len(graph.steps), poses, parents, offsets, seen)
     if state is None:
         # dividing them in Python, too, names the family
-        first_poses(graph, 1)
+        transform.first_poses(graph, 1)
         raise AssertionError("a family that cannot be divided in the engine can be divided")
     return state
 
@@ -194,7 +174,7 @@ def _tree(graph: Graph) -> tuple[np.ndarray, Array]:
 
     Poses follow from the pose before, landmarks from the first pose that sees them.
     """
-    graph = with_cartesian_sightings(graph) or graph
+    graph = transform.with_cartesian_sightings(graph) or graph
     poses, unturned = len(graph.steps), np.zeros_like(graph.initial)
     parents, offsets = np.full(graph.num_nodes, -1), np.zeros((graph.num_nodes, 3))
     parents[1:poses] = np.arange(poses - 1)
@@ -227,7 +207,7 @@ def lower_by_turns(graph: Graph, state: Array, limit: float = np.inf) -> tuple[A
 
 def lower_by_halves(graph: Graph, state: Array, limit: float = np.inf) -> tuple[Array | None, int]:
     """The same without random halves of the measurements that may be wrong, until 25 one after the other lead no lower."""
-    doubted = [k for k, family in enumerate(graph.families) if isinstance(family, DoubtedEdges)]
+    doubted = [k for k, family in enumerate(graph.families) if isinstance(family, edges.DoubtedEdges)]
     return _lowered(graph, partial(engine.lowered_by_halves, doubted), state, limit)
 
 
@@ -283,9 +263,9 @@ NOTHING = 1e-4
 FIRST, GROWTH = 10, 1.25
 
 
-def partial_edges(graph: Graph) -> list[PartialEdges]:
+def partial_edges(graph: Graph) -> list[edges.PartialEdges]:
     """The edges of ranges and bearings alone."""
-    return [family for family in graph.families if isinstance(family, PartialEdges)]
+    return [family for family in graph.families if isinstance(family, edges.PartialEdges)]
 
 
 def grown_from_single_numbers(graph: Graph) -> Array:
@@ -297,7 +277,7 @@ def grown_from_single_numbers(graph: Graph) -> Array:
     if not partial_edges(graph):
         raise GraphError("there are no ranges or bearings alone")
     poses, state = len(graph.steps), graph.initial.copy()
-    chains = (family for family in graph.families if type(family) is RelativePoseEdges and family.count == poses - 1)
+    chains = (f for f in graph.families if type(f) is edges.RelativePoseEdges and f.count == poses - 1)
     if (motions := next(chains, None)) is None:
         raise GraphError("ranges and bearings alone need motion edges from every pose to the next")
     placed = set(_seen_whole(graph))
@@ -307,9 +287,9 @@ def grown_from_single_numbers(graph: Graph) -> Array:
             if found.clear or (count == poses and len(found.places)):
                 state[node, :2] = found.places[0]
                 placed.add(node)
-        piece, nodes = first_poses(graph, count)
+        piece, nodes = transform.first_poses(graph, count)
         used = (nodes < poses) | np.isin(nodes, list(placed))
-        piece, kept = of_nodes(piece, used)
+        piece, kept = transform.of_nodes(piece, used)
         state[nodes[kept]] = _solved(piece, state[nodes[kept]])
         if count == poses:
             break
@@ -379,7 +359,7 @@ def _with_places(state: Array, places: dict[int, Array]) -> Array:
 
 def _seen_whole(graph: Graph) -> list[int]:
     """The landmark nodes that have whole sightings, or are given by a map."""
-    seen = [f.second for f in graph.families if isinstance(f, SightingEdges) and hasattr(f, "second")]
+    seen = [f.second for f in graph.families if isinstance(f, edges.SightingEdges) and hasattr(f, "second")]
     return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *seen, graph.mapped])).tolist()
 
 
@@ -415,15 +395,14 @@ def starting_state(graph: Graph, initialize: str) -> Array:
         GraphError: the edges do not allow this start.
         OptionError: there is no such start.
     """
-    check_choice("initialize", initialize, _STARTS)
-    easier = without_positions(graph)
+    checks.check_choice("initialize", initialize, _STARTS)
+    easier = transform.without_positions(graph)
     if easier is graph or initialize == "given":
         return _STARTS[initialize](graph)
     # positions would bend what is still far from its shape; they put it where it belongs as a whole
     state = _STARTS[initialize](easier)
     held = graph.map is not None or len(graph.fixed)
-    with_heading = graph.num_nodes - len(graph.without_heading)
-    return state if held else into_world(state, graph.families, with_heading)
+    return state if held else into_world(state, graph.families, graph.num_nodes - len(graph.without_heading))
 
 
 def cartesian_first(graph: Graph) -> Array:
@@ -432,7 +411,7 @@ def cartesian_first(graph: Graph) -> Array:
     Raises:
         GraphError: there are no polar residuals, or the edges do not determine the nodes.
     """
-    easier = with_cartesian_sightings(graph)
+    easier = transform.with_cartesian_sightings(graph)
     if easier is None:
         raise GraphError("there are no sightings with a polar residual")
     return end_of(gauss_newton, easier, starting_state(easier, "auto"))
@@ -444,13 +423,13 @@ def virtual_motion_first(graph: Graph) -> Array:
     Raises:
         GraphError: the graph has no sightings of landmark nodes, or they do not determine the poses.
     """
-    easier = without_landmarks(graph)
+    easier = transform.without_landmarks(graph)
     if easier is None:
         raise GraphError("there are no sightings of landmark nodes to make virtual-motion edges of")
-    if len(graph.steps) > LONG and (coarser := coarse(graph, EVERY)) is not None:
+    if len(graph.steps) > LONG and (coarser := transform.coarse(graph, EVERY)) is not None:
         smaller, nodes = coarser
         poses = virtual_motion_first(smaller)[: len(smaller.steps)]
-        easier = easier.with_initial(filled(graph, nodes[: len(poses)], poses))
+        easier = easier.with_initial(transform.filled(graph, nodes[: len(poses)], poses))
     return place_landmarks(graph, _in_map(graph, end_of(gauss_newton, easier, easier.initial)))
 
 
@@ -458,14 +437,14 @@ def _in_map(graph: Graph, poses: Array) -> Array:
     """Poses (P, 3) as a whole where the map of the graph puts them, if it has one."""
     if graph.map is None:
         return poses
-    family = next(family for family in graph.families if isinstance(family, ObservationEdges))
+    family = next(family for family in graph.families if isinstance(family, edges.ObservationEdges))
     ids = graph.landmark_ids[family.second - len(graph.steps)]
     return registered(poses, family.first, family.sightings, ids, graph.map, family.sensor)
 
 
 def starts_of_auto(graph: Graph) -> tuple[str, ...]:
     """The starts of `AUTO` for the families of a graph: some are for sightings of landmark nodes."""
-    if any(isinstance(family, (ObservationEdges, PartialEdges)) for family in graph.families):
+    if any(isinstance(family, (edges.ObservationEdges, edges.PartialEdges)) for family in graph.families):
         return AUTO
     return AUTO[AUTO.index("rotation-first") :]
 

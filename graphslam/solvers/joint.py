@@ -36,18 +36,9 @@ from ..edges import (
 )
 from ..edges import motion_edges as make_motion_edges
 from ..engine import engine
-from ..errors import GraphError
-from ..errors.checks import first
+from ..errors import GraphError, checks
 from ..graph import Graph
-from ..identification.corrections import (
-    controls_at_steps,
-    corrected_controls,
-    corrected_log,
-    corrected_sensor,
-    corrected_sightings,
-    motion_slopes,
-    moves,
-)
+from ..identification import corrections
 from ..identification.declared import PARAMETERS, Parameters
 from ..linear.cholesky import Bordered, Factor, FactorizationError, SingularPivot
 from ..linear.information import BlockSystem
@@ -89,7 +80,7 @@ def finished(graph: Graph, values: Array, state: Array) -> Graph:
         LogError: a corrected range would not be above zero.
     """
     found = corrected(graph, values, state)
-    log, sensor = corrected_log(found.estimated), corrected_sensor(found.estimated)
+    log, sensor = corrections.corrected_log(found.estimated), corrections.corrected_sensor(found.estimated)
     if graph.log is not None and not graph.log.has_orientation:
         log = log.without_orientation()
     return found.with_families(found.families, log=log, sensor=sensor)
@@ -100,15 +91,15 @@ def controls_of(graph: Graph) -> Array:
     assert graph.log is not None
     if "sensor_delay" not in graph.estimated.names:
         return np.zeros((len(graph.sighting_rows), 2))
-    return controls_at_steps(graph.estimated)[graph.log.steps[graph.sighting_rows]]
+    return corrections.controls_at_steps(graph.estimated)[graph.log.steps[graph.sighting_rows]]
 
 
 def _sightings(graph: Graph, parameters: Parameters) -> SightingEdges:
     """The edges from sightings, with corrected sightings."""
     edges = sighted_edges(graph)
-    z = corrected_sightings(parameters, graph.sighting_rows, edges.sightings.shape[1])
+    z = corrections.corrected_sightings(parameters, graph.sighting_rows, edges.sightings.shape[1])
     z[:, 1:] = wrap(z[:, 1:])
-    return replace(edges, sightings=z, sensor=corrected_sensor(parameters), noise_at=None)  # type: ignore[call-arg]
+    return replace(edges, sightings=z, sensor=corrections.corrected_sensor(parameters), noise_at=None)  # type: ignore[call-arg]
 
 
 def _motions(edges: RelativePoseEdges, here: Parameters, there: Parameters) -> RelativePoseEdges:
@@ -117,13 +108,13 @@ def _motions(edges: RelativePoseEdges, here: Parameters, there: Parameters) -> R
     assert log.dt is not None
     nodes = np.append(edges.first, edges.second[-1:])
     noisy = make_motion_edges(
-        nodes, corrected_controls(there), log.dt, motion, starts=log.control_starts,
+        nodes, corrections.corrected_controls(there), log.dt, motion, starts=log.control_starts,
         control_variances=log.control_variances, recorded_dt=log.recorded_dt, frame=edges.frame,
         scale=here.options.motion_weight,
     )  # fmt: skip
     if here.values is there.values or np.array_equal(here.values, there.values):
         return noisy
-    measured, _ = engine.accumulated_slopes(corrected_controls(here), log.dt, log.control_starts)
+    measured, _ = engine.accumulated_slopes(corrections.corrected_controls(here), log.dt, log.control_starts)
     return replace(noisy, measured=measured)
 
 
@@ -161,7 +152,7 @@ def negative_information(graph: Graph) -> str | None:
         if not isinstance(W, np.ndarray) or W.ndim != 3 or W.shape[1] != W.shape[2] or not np.isfinite(W).all():
             continue
         smallest = np.linalg.eigvalsh((W + np.swapaxes(W, 1, 2)) / 2)[:, 0]
-        if (k := first(smallest < -1e-9 * np.abs(W).max(axis=(1, 2)))) is not None:
+        if (k := checks.first(smallest < -1e-9 * np.abs(W).max(axis=(1, 2)))) is not None:
             return (
                 f"the information of edge {k} of {type(family).__name__} is not positive semi-definite (eigenvalue "
                 f"{smallest[k]:.3g}), so that J has no lower bound; information is the inverse of a covariance"
@@ -295,7 +286,7 @@ class JointGraph:
         predicted = seen.predicted(held)
         border = Border.of_sightings(self._copies, graph, seen, nodes, held, predicted, controls).scaled(factor)
         if driven is not None:
-            _, slopes = motion_slopes(parameters, corrected_controls(parameters))
+            _, slopes = corrections.motion_slopes(parameters, corrections.corrected_controls(parameters))
             border += Border.of_motions(driven, nodes, held, slopes)
         priors, pulled = parameters.weights, parameters.values - parameters.means
         return border + Border(np.zeros_like(border.mixed), np.diag(priors), -priors * pulled)
@@ -303,8 +294,7 @@ class JointGraph:
     @cached_property
     def _copies(self) -> BlockSystem:
         edges, _ = copied(sighted_edges(self.graph), np.zeros((self.graph.num_nodes, 3)), len(self.graph.steps))
-        count = len(edges.sightings) + len(self.graph.landmark_ids)
-        return BlockSystem.from_cliques(count, [edges.cliques()])
+        return BlockSystem.from_cliques(len(edges.sightings) + len(self.graph.landmark_ids), [edges.cliques()])
 
 
 class Border:
@@ -332,7 +322,7 @@ class Border:
         free.accumulate(at, copied(edges, held, poses)[1], copies)
         moved = np.zeros((len(at), 3, len(parameters)))
         controls = controls_of(graph) if controls is None else controls
-        moved[:count] = turn_matrix(at[:count, 2]) @ moves(parameters, predicted, controls)
+        moved[:count] = turn_matrix(at[:count, 2]) @ corrections.moves(parameters, predicted, controls)
         weighed = times(copies, moved)
         mixed = np.zeros((len(nodes), 3, len(parameters)))
         np.add.at(mixed, edges.first if isinstance(edges, ObservationEdges) else edges.nodes, weighed[:count])  # type: ignore[attr-defined]
@@ -431,8 +421,7 @@ def check_observable(joint: JointGraph, nodes: Array, values: Array) -> None:
     if (driven := motion_edges(graph)) is not None:
         border += Border.of_motions(driven, nodes, nodes, slopes)
     known = np.diag(border.own)
-    still = [name for name, information in zip(parameters.names, known) if not information > 0]
-    if still:
+    if still := [name for name, information in zip(parameters.names, known) if not information > 0]:
         raise GraphError(f"the log does not tell {' and '.join(still)}: nothing that was recorded depends on it")
     schur = Bordered(factor, border.mixed, border.own).schur
     scale = 1 / np.sqrt(known)
@@ -467,5 +456,5 @@ def _without_noise(graph: Graph, nodes: Array) -> tuple[Graph, Array]:
     if driven is not None:
         measured = between(nodes[driven.first], nodes[driven.second])
         changed[driven] = replace(driven, measured=measured)  # type: ignore[index, assignment]
-        _, slopes = motion_slopes(parameters, corrected_controls(parameters), measured[:, :2])
+        _, slopes = corrections.motion_slopes(parameters, corrections.corrected_controls(parameters), measured[:, :2])
     return graph.with_families(changed.get(family, family) for family in graph.families), slopes  # type: ignore[call-overload]

@@ -98,8 +98,7 @@ def solve_jointly(graph: Graph, start: Array, search: Callable[[JointGraph, Run]
     joint = JointGraph(graph.with_initial(start))
     check_observable(joint, start, joint.parameters.values)
     run.state = joint.joined(start, joint.parameters.values)
-    report = run.callback
-    if report is not None:
+    if (report := run.callback) is not None:
         callback = report
         run.callback = lambda step: callback(replace(step, state=joint.parted(step.state)[0]))
     search(joint, run)

@@ -31,14 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from ..edges import (
-    CartesianObservationEdges,
-    MarginalEdges,
-    PositionEdges,
-    PriorEdges,
-    RelativePoseEdges,
-    SightingEdges,
-)
+from .. import edges
 from ..edges.base import EngineEdges
 from ..errors import GraphError
 from ..graph import Graph
@@ -71,11 +64,11 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
     """
     C, sure = np.zeros((3, 3)), np.zeros(len(AXES), dtype=bool)
     moved, log = motion_edges(graph), graph.log
-    seen = any(isinstance(family, SightingEdges) and family.count for family in graph.families)
+    seen = any(isinstance(family, edges.SightingEdges) and family.count for family in graph.families)
     if moved is None or log is None or log.times is None or not (counted_once(graph) and seen) or moved.count < FEWEST:
         return C, ""
     # sightings on an arc, which the Cartesian residual has along a line, have an error in common, too
-    straight = isinstance(sighted_edges(graph), CartesianObservationEdges)
+    straight = isinstance(sighted_edges(graph), edges.CartesianObservationEdges)
     if (straight and graph.sensor is not None and on_an_arc(log, graph.sensor)) or not _suspected(graph, moved, state):
         return C, ""
     try:
@@ -107,22 +100,22 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
 
 def counted_once(graph: Graph) -> bool:
     """Whether all edges are of known families, and sightings have errors of their own, as pairs of them have not."""
-    seen = [family for family in graph.families if isinstance(family, SightingEdges) and family.count]
-    once = graph.num_nodes > len(graph.steps) or all(isinstance(family, MarginalEdges) for family in seen)
+    seen = [family for family in graph.families if isinstance(family, edges.SightingEdges) and family.count]
+    once = graph.num_nodes > len(graph.steps) or all(isinstance(family, edges.MarginalEdges) for family in seen)
     # what edges of a user's own say about the noise is not known
-    return once and all(isinstance(family, (EngineEdges, PriorEdges)) for family in graph.families)
+    return once and all(isinstance(family, (EngineEdges, edges.PriorEdges)) for family in graph.families)
 
 
-def _suspected(graph: Graph, moved: RelativePoseEdges, state: Array) -> bool:
+def _suspected(graph: Graph, moved: edges.RelativePoseEdges, state: Array) -> bool:
     """Whether sightings of one scan have correlated residuals, or the errors of successive motions cancel each other.
 
     This takes a small part of the time of the estimate. Of drives on which C was found, each has the one above 3.7 standard
     errors or the other above 0.9; without such errors they are at most 1.8 and -2.9 (docs/decisions.md).
     """
-    edges = _weighted(sighted_edges(graph), state, np.zeros((3, 3))).linearize(state, state)
-    steps, axes = edges.nodes[0], list(AXES)
-    at_scan = (edges.jacobians[0] @ turn_matrix(state[steps, 2]))[:, :, axes]
-    pulls = np.einsum("eia,eij,ej->ae", at_scan, edges.information, edges.residuals)
+    linear = _weighted(sighted_edges(graph), state, np.zeros((3, 3))).linearize(state, state)
+    steps, axes = linear.nodes[0], list(AXES)
+    at_scan = (linear.jacobians[0] @ turn_matrix(state[steps, 2]))[:, :, axes]
+    pulls = np.einsum("eia,eij,ej->ae", at_scan, linear.information, linear.residuals)
     scans = [np.bincount(steps, pull) ** 2 - np.bincount(steps, pull**2) for pull in pulls]
     motions = replace(moved, frame="body").linearize(state, state)
     errors = motions.residuals[np.argsort(motions.nodes[0])][:, axes]
@@ -132,7 +125,7 @@ def _suspected(graph: Graph, moved: RelativePoseEdges, state: Array) -> bool:
     return any(np.sum(each) > limit * np.sqrt(np.sum(each**2)) for products, limit in kinds for each in products)
 
 
-def _of_scans(graph: Graph, moved: RelativePoseEdges, state: Array, C: Array) -> tuple[Array, Array, Array]:
+def _of_scans(graph: Graph, moved: edges.RelativePoseEdges, state: Array, C: Array) -> tuple[Array, Array, Array]:
     """`variances` of errors of scans along `AXES`; the weights of sightings count the covariance C of such errors."""
     from scipy.sparse import diags
 
@@ -140,7 +133,7 @@ def _of_scans(graph: Graph, moved: RelativePoseEdges, state: Array, C: Array) ->
     weighted = _weighted(seen, state, C)
     changed = graph.with_families(weighted if f is seen else f for f in graph.families)
     # poses follow the noise of positions, too
-    positions = [settled(f, state) for f in graph.families if isinstance(f, PositionEdges) and f.count]
+    positions = [settled(f, state) for f in graph.families if isinstance(f, edges.PositionEdges) and f.count]
     drive = Whitened(changed, [weighted, replace(moved, frame="body"), *positions], state)
     steps = drive.edges[0].nodes[0]
     at_scan = drive.edges[0].jacobians[0] @ turn_matrix(state[steps, 2])
@@ -206,7 +199,7 @@ class Whitened:
         self._by_nodes = sum(self.rows(k, J, nodes, graph.num_nodes) for k, J, nodes in ends) @ diags(free.ravel())
         self._of_landmarks = None
         for k, seen in enumerate(families):
-            if isinstance(seen, MarginalEdges):
+            if isinstance(seen, edges.MarginalEdges):
                 blocks = np.zeros((len(self.edges[k].nodes[0]), 1, 1)) + np.eye(seen.dimension)
                 by_landmarks = self.rows(k, blocks, seen.group, len(seen.starts) - 1)
                 self._of_landmarks = splu((by_landmarks.T @ by_landmarks).tocsc()), by_landmarks
@@ -258,13 +251,13 @@ class Whitened:
         return csr_matrix((blocks.ravel(), (row.ravel(), column.ravel())), shape=(self.first[-1], m * width))
 
 
-def _weighted(seen: SightingEdges, state: Array, C: Array) -> SightingEdges:
+def _weighted(seen: edges.SightingEdges, state: Array, C: Array) -> edges.SightingEdges:
     """The sightings without a kernel, with the weights that it gives them where scans have errors with the covariance C."""
     plain = replace(seen, kernel=None)
     if seen.kernel is None:
         return plain
-    edges = plain.linearize(state, state)
-    at_scan = edges.jacobians[0] @ turn_matrix(state[edges.nodes[0], 2])
-    wide = np.linalg.inv(edges.information) + at_scan @ C @ np.swapaxes(at_scan, 1, 2)
-    solved = np.linalg.solve(wide, edges.residuals[:, :, None])[:, :, 0]
-    return plain.with_trust(seen.trusted * seen.kernel.weight(np.einsum("ei,ei->e", edges.residuals, solved)))
+    linear = plain.linearize(state, state)
+    at_scan = linear.jacobians[0] @ turn_matrix(state[linear.nodes[0], 2])
+    wide = np.linalg.inv(linear.information) + at_scan @ C @ np.swapaxes(at_scan, 1, 2)
+    solved = np.linalg.solve(wide, linear.residuals[:, :, None])[:, :, 0]
+    return plain.with_trust(seen.trusted * seen.kernel.weight(np.einsum("ei,ei->e", linear.residuals, solved)))

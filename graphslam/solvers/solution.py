@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..edges import AnchorEdges, LandmarkSightings, SightingEdges
-from ..errors import OptionError, quoted
-from ..errors.checks import make_read_only, singular
+from ..errors import OptionError, checks, quoted
 from ..graph import Graph
 from ..graph.transform import with_landmark_nodes
 from ..identification.declared import ParameterEstimate
@@ -29,15 +28,8 @@ from ..maps.stretch import Stretch
 from ..maps.tracker import beyond, inflation, presence
 from ..metrics import pose_nees
 from ..se2 import Array, difference, wrap
+from . import contradictions
 from .certificate import Certificate, prove
-from .contradictions import (
-    TAKEN_FOR_RIGHT,
-    doubt_of_map,
-    doubt_of_positions,
-    doubt_of_relations,
-    without_moved,
-    without_slips_of,
-)
 from .iteration import Run
 from .joint import motion_edges
 from .map_errors import in_wider_map, said_of_wider
@@ -164,7 +156,7 @@ class Solution:
     scan_errors: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
     def __post_init__(self) -> None:
-        make_read_only(self, "poses", "estimated", "costs", "step_norms", "state", "trust", "scan_errors")
+        checks.make_read_only(self, "poses", "estimated", "costs", "step_norms", "state", "trust", "scan_errors")
         for place in self.landmarks.values():
             place.flags.writeable = False
 
@@ -173,7 +165,7 @@ class Solution:
         outcome = "converged" if self.converged else "not converged"
         if self.iterations:
             outcome += f" after {self.iterations} iterations"
-        return singular(
+        return checks.singular(
             f"<Solution by {self.solver}: {outcome}, J = {self.cost:.6g}, {len(self.poses)} poses, "
             f"{len(self.landmarks)} landmarks, {self.seconds:.3g} s>"
         )
@@ -223,9 +215,8 @@ class Solution:
             of_landmarks = [self.landmark_covariances[id] for id in ids]
             return shaped(poses, landmarks, [self._uncertainty.of_poses[node] for node in nodes], of_landmarks)
         if ids and not len(graph.landmark_ids):
-            raise OptionError(
-                f"landmark {ids[0]} is no node of this graph; edges='landmark+motion' makes nodes of landmarks"
-            )
+            message = f"landmark {ids[0]} is no node of this graph; edges='landmark+motion' makes nodes of landmarks"
+            raise OptionError(message)
         sizes = [3] * len(nodes) + [d] * len(ids)
         nodes += [first + int(np.searchsorted(graph.landmark_ids, id)) for id in ids]
         different, places = np.unique(nodes, return_inverse=True)
@@ -448,26 +439,26 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
         return solution
     in_map = again if graph.reweighted else None
     if in_map is not None:
-        solution, of_moved = without_moved(solution, in_map)
+        solution, of_moved = contradictions.without_moved(solution, in_map)
         graph = solution.graph or graph
         notes += [of_moved] * bool(of_moved)
-    found, deviation, sure = doubt_of_map(graph, solution.state, suspected=in_map is not None)
+    found, deviation, sure = contradictions.doubt_of_map(graph, solution.state, suspected=in_map is not None)
     wider = in_wider_map(solution, deviation, in_map) if deviation and in_map is not None else None
     if wider is None and not sure:
-        found, *_ = doubt_of_map(graph, solution.state, suspected=False)
+        found, *_ = contradictions.doubt_of_map(graph, solution.state, suspected=False)
     if found:
         if wider is not None:
             solution, deviation = wider
-            found = found.replace(TAKEN_FOR_RIGHT, said_of_wider(deviation))
+            found = found.replace(contradictions.TAKEN_FOR_RIGHT, said_of_wider(deviation))
             graph = solution.graph or graph
         notes.append(found)
-    solution, of_odometry = without_slips_of(solution, again)
+    solution, of_odometry = contradictions.without_slips_of(solution, again)
     graph = solution.graph or graph
     solution, lasting = with_lasting_errors(solution, again)
     graph = solution.graph or graph
-    of_positions = doubt_of_positions(graph, solution.state, lasting=bool(lasting))
+    of_positions = contradictions.doubt_of_positions(graph, solution.state, lasting=bool(lasting))
     common, of_scans = errors_of_scans(graph, solution.state)
-    of_relations = doubt_of_relations(graph, solution.state)
+    of_relations = contradictions.doubt_of_relations(graph, solution.state)
     notes += filter(None, (of_positions, of_relations, lasting, *of_odometry, of_scans))
     # families that do not say how many numbers they measure leave the expected cost open
     counted = all(f.numbers[0] or isinstance(f, AnchorEdges) or not f.count for f in graph.families)

@@ -13,8 +13,7 @@ from numbers import Real
 from typing import Any
 
 from ..engine import available_threads
-from ..errors import GraphError, OptionError, quoted
-from ..errors.checks import check_choice, check_count, check_known, check_positive
+from ..errors import GraphError, OptionError, checks, quoted
 from ..graph import Graph, check_graph
 from ..models import RANGE_NOISES
 from . import INITIALIZE
@@ -106,8 +105,7 @@ def solve(
         )
     # the sightings that gnc trusts may change from pass to pass
     again = takes_estimated_ranges(graph, range_noise) and (method != GNC or range_noise == "estimated")
-    required = range_noise == "estimated"
-    run = partial(at_estimated_ranges, solved=solved, required=required) if again else solved
+    run = partial(at_estimated_ranges, solved=solved, required=range_noise == "estimated") if again else solved
     solution = doubted(run(graph, initialize, tolerance), lambda wider: run(wider, "given", tolerance))
     given = range_noise == "auto" and method != GNC and graph.log is not None and not graph.log.simulated
     return solution if again or not given else replace(solution, notes=(*solution.notes, *shortened_ranges(graph)))
@@ -118,19 +116,18 @@ def check_options(
     range_noise: str,
 ) -> None:  # fmt: skip
     """Raise `OptionError` if an option of `solve` has an impossible value."""
-    check_choice("method", method, (*METHODS, GNC))
+    checks.check_choice("method", method, (*METHODS, GNC))
     if not isinstance(initialize, str):
-        raise OptionError(
-            "initialize names a start; for your own values: solve(graph.with_initial(values), initialize='given')"
-        )
-    check_choice("initialize", initialize, INITIALIZE)
-    check_choice("range_noise", range_noise, RANGE_NOISES)
-    check_positive(tolerance=tolerance)
+        message = "initialize names a start; for your own values: solve(graph.with_initial(values), initialize='given')"
+        raise OptionError(message)
+    checks.check_choice("initialize", initialize, INITIALIZE)
+    checks.check_choice("range_noise", range_noise, RANGE_NOISES)
+    checks.check_positive(tolerance=tolerance)
     if not isinstance(cost_tolerance, Real) or not 0 <= cost_tolerance < 1:
         raise OptionError(f"cost_tolerance must lie between 0 and 1, not {quoted(cost_tolerance)}")
     if method == GNC and cost_tolerance > 0:
         raise OptionError("the method gnc ends by its own rules and uses no cost_tolerance: leave it out")
-    check_count(max_iterations=max_iterations)
+    checks.check_count(max_iterations=max_iterations)
     if not isinstance(probability, Real) or not 0 < probability < 1:
         raise OptionError(f"probability must lie between 0 and 1, not {quoted(probability)}")
 
@@ -161,11 +158,11 @@ def solve_many(graphs: Iterable[Graph], *, jobs: int | None = None, **options: A
         OptionError: an option does not exist or has an impossible value; or, in its turn, something is no `Graph`.
     """
     known = [name for name in signature(solve).parameters if name not in ("graph", "callback")]
-    check_known("solve_many", options, known, f"; it takes jobs and {', '.join(known)}")
+    checks.check_known("solve_many", options, known, f"; it takes jobs and {', '.join(known)}")
     defaults = {name: signature(solve).parameters[name].default for name in known}
     check_options(**(defaults | options))
     if jobs is not None:
-        check_count(jobs=jobs)
+        checks.check_count(jobs=jobs)
     if not isinstance(graphs, Iterable):
         given = f"a {type(graphs).__name__}"
         raise OptionError(f"graphs must be a list or an iterator of graphs, not {given}; for one graph use solve")

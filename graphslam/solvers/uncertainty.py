@@ -217,8 +217,7 @@ class Uncertainty:
         from scipy.sparse.linalg import spsolve
 
         border = None if self._joint is None else self._joint.border
-        system = self._graph.information(self._state)
-        omega, end = system.to_sparse().tocsc(), errors.size
+        omega, end = self._graph.information(self._state).to_sparse().tocsc(), errors.size
         if border is not None:
             mixed = border.mixed.reshape(omega.shape[0], -1)
             omega = bmat([[omega, mixed], [mixed.T, border.own]]).tocsc()

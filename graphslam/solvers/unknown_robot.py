@@ -84,9 +84,8 @@ def _from_solution(log: Log, sensor: SensorModel, poses: Array, landmarks: Mappi
     order = np.argsort(partial.steps, kind="stable")[:MOST]
     order = order[np.isin(partial.landmarks[order], list(landmarks))]
     if not len(order):
-        raise GraphError(
-            f"{log.name}: its ranges and bearings alone give no landmark a place, so that nothing tells the noise"
-        )
+        message = f"{log.name}: its ranges and bearings alone give no landmark a place, so that nothing tells the noise"
+        raise GraphError(message)
     steps = np.unique([0, *partial.steps[order]])
     few = log.replace(partial_sightings=partial.among(order)).at_steps(steps)
     assert few.partial_sightings is not None

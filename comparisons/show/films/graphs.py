@@ -303,8 +303,7 @@ def _thinned(family: EdgeFamily) -> tuple[EdgeFamily, Array, int]:
     if family.count <= MOST_EDGES or not isinstance(family, VirtualMotionEdges):
         return family, np.ones(1), max(1, math.ceil(family.count / MOST_EDGES))
     apart = math.ceil(math.sqrt(family.count / MOST_EDGES))
-    rank = np.arange(len(family.nodes)) - family.starts[family.group]
-    left = rank % apart == 0
+    left = (np.arange(len(family.nodes)) - family.starts[family.group]) % apart == 0
     starts = np.concatenate([[0], np.cumsum(np.bincount(family.group[left], minlength=len(family.starts) - 1))])
     fewer = replace(family.among(left), starts=starts)
     # the weight of a tempered pair is 2/K, with K of all sightings

@@ -27,8 +27,7 @@ from graphslam.log import UNIDENTIFIED
 
 from ...comparison import Comparison, run
 from ...estimators.config import versions
-from ...results import EstimatorResult, sentence
-from ...results.documents import jsonable
+from ...results import EstimatorResult, jsonable, sentence
 from ...results.files import check_can_write
 from ...results.results import sightings_of
 from ..canvas import MATRIX, colour_of, reference_of
@@ -79,9 +78,8 @@ def write_report(
     if not isinstance(comparison, Comparison):
         comparison = run(comparison, **options)
     elif options:
-        raise OptionError(
-            f"the comparison has been run: it takes no options ({', '.join(options)}); give the log instead"
-        )
+        message = f"the comparison has been run: it takes no options ({', '.join(options)}); give the log instead"
+        raise OptionError(message)
     write_text(path, page_of(comparison, language))
 
 

@@ -327,8 +327,7 @@ def _pair(
 ) -> list[dict[str, Any]]:
     """The two curves of one iteration. J is known before the first step, so it begins at 0, unless only its end is known."""
     begins = len(norms) if len(costs) == 1 else 0
-    right = {"xaxis": "x2", "yaxis": "y2"}
-    curves: list[tuple[Any, ...]] = [(costs, begins, {}, "J"), (norms, 1, right, "norm")]
+    curves: list[tuple[Any, ...]] = [(costs, begins, {}, "J"), (norms, 1, {"xaxis": "x2", "yaxis": "y2"}, "norm")]
     return [
         {
             "type": "scatter", "meta": meta, "x": list(range(first, first + len(values))),
@@ -406,8 +405,7 @@ def factor_pattern(n: int, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
     below = np.zeros((n, n), dtype=bool)  # row k is column k of L: contiguous
     below[cols, rows] = True
     for k in range(n):
-        later = below[k, k + 1 :]
-        if later.any():
+        if (later := below[k, k + 1 :]).any():
             parent = k + 1 + int(np.argmax(later))
             below[parent, parent:] |= below[k, parent:]
     return below.T
