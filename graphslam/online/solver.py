@@ -108,7 +108,7 @@ class OnlineSolver:
             # without a covariance the start is exact
             held = np.linalg.inv(ANCHOR_INFORMATION) if held is None else held
             make = partial(kind, sensor=self.sensor, kernel=self.kernel, **options)
-            self._backend = cast(Backend, Localizer(make, known_map, self.sensor, first, held))
+            self._backend = cast(Backend, Localizer(make, known_map, self.sensor, first, held, self.kernel is not None))
         else:
             self._backend = kind(np.zeros(3) if first is None else first, self.sensor, self.kernel, **options)
         #: whether nobody has said where the first pose is
