@@ -68,6 +68,8 @@ class Localizer:
         #: the map with all landmarks, those that have moved with their shifts [m], and whether these are looked for, because
         #: without a kernel they pull others along
         self._given, self._moved, self._robust = landmarks, dict[int, float](), robust
+        #: at how many contradictions in a row each landmark was tested for this last
+        self._tested: dict[int, int] = {}
         self._start = start, start_covariance
         self.fixes: dict[int, Fix] = {}
         self._calls: list[Callable[[], None]] = []
@@ -281,9 +283,9 @@ class Localizer:
         self._noise: list[Array] = []
         self._rows: list[tuple[int, int, Array]] = []
         self.columns: int | None = None
-        #: the numbers of sightings and of doubts from which the next search is due, and at how many contradictions in a row
-        #: each landmark was tested last
-        self._due, self._tried, self._tested = 2, DOUBT, dict[int, int]()
+        #: the numbers of sightings and of doubts from which the next search is due
+        self._due, self._tried = 2, DOUBT
+        self._tested = {}
 
     def _see(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
         """Pass sightings on, and count them where they were not refused."""
