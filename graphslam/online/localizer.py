@@ -159,7 +159,8 @@ class Localizer:
 
     def _leave_out_moved(self) -> None:
         """Where sightings of a landmark contradict in a row, begin anew in the map without those that have surely moved."""
-        if self.tracker is None or not self._robust:
+        if self.tracker is None or not self._robust or self.tracker.log_odds < 0:
+            # a robot that is elsewhere contradicts the map, too
             return
         before, due = self._tested, dict[int, int]()
         for j, count in self.tracker.against.items():
@@ -182,7 +183,7 @@ class Localizer:
         return {"_moved": moved, "_declared": declared, "_landmarks": wider}
 
     def _surely_moved(self) -> dict[int, float]:
-        """The landmarks that contradict the map most, where they have surely moved, with their shifts [m]."""
+        """The landmark that contradicts the map most, where it has surely moved, with its shift [m]."""
         latest = dict.fromkeys(j for _, j, _ in reversed(self._rows) if j in self._landmarks)
         known = self._landmarks.among(list(latest)[:MOST]).widened(0.0)
         found, ids, d = self._backend.landmarks, list(known), self._backend.columns or 2
@@ -195,13 +196,12 @@ class Localizer:
             if np.linalg.eigvalsh(S[rows, rows])[0] > ROUNDING * np.trace(L[rows, rows]):
                 shift = np.linalg.solve(S[rows, rows], score[rows])
                 squares[j], sizes[j] = float(shift @ score[rows]) / MEDIANS[len(shift)], float(np.hypot(*shift[:2]))
-        if len(squares) < FEWEST:
+        if len(squares) < FEWEST or (1 + len(self._moved)) > MOST_MOVED * (len(self._moved) + len(squares)):
+            # where they are many, it is the map that is wrong
             return {}
-        least = max(MOVED * max(1.0, float(np.median(list(squares.values())))), max(squares.values()) / 2)
-        moved = {j: sizes[j] for j, square in squares.items() if square > least and j not in self._moved}
-        # where they are many, it is the map that is wrong
-        many = len(self._moved) + len(moved) > MOST_MOVED * (len(self._moved) + len(squares))
-        return {} if many else moved
+        most = max(squares, key=lambda j: squares[j])
+        sure = squares[most] > MOVED * max(1.0, float(np.median(list(squares.values()))))
+        return {most: sizes[most]} if sure else {}
 
     def _check_map(self, tracker: Tracker) -> None:
         """Where most landmarks contradict the map, begin anew with the errors that they show; see `solvers.map_errors`."""
