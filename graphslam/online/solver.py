@@ -59,8 +59,8 @@ class OnlineSolver:
     sightings say surely where in the map it began (`located`), and are in the map then. Sightings may have no ids there. A
     robot that is lifted is found again. `integrity_risk` is the probability that the pose is off by more than a bound. With a
     kernel, landmarks that have surely moved leave the map. Where most landmarks contradict the map, it counts as off by what
-    they show. `notes` say so. Both go through the drive again, and the call takes as long; beyond 3000 sightings `notes` alone
-    say it, and poses and risks take the map for right.
+    they show. `notes` say so. Both go through the drive again, and the call takes as long; beyond 3000 sightings `notes`
+    alone say it, and poses and risks take the map for right.
 
     Args:
         start: the first pose (3,); default: the origin, or unknown in a map.
