@@ -36,9 +36,9 @@ FIRST_CHECK, UNCHANGED = 20, 2
 MEDIAN_LENGTH = 1.1774
 #: the logarithm of a change of the errors of the map that counts, and the most sightings that are gone through again for them
 CHANGED, MOST_AGAIN = 0.25, 3000
-#: a landmark has moved whose squared shift is so many times the median of chi-square, and of the others. On 280 drives in maps
-#: without moved landmarks, among them ones with 10 % wrong sightings or ids, biases, slips, or half of the noise that there
-#: was in the models, none was found. The batch solver, which has all sightings, waits for more
+#: a landmark has moved whose squared shift is so many times the median of chi-square, and of the others. In right maps none
+#: was found on 260 drives, among them ones with 10 % wrong sightings or ids, biases, slips, or up to three times the noise
+#: of the models. The batch solver, which has all sightings, waits for more
 MOVED = 20.0
 #: shifts are looked for where so many sightings of a landmark in a row contradict
 IN_A_ROW = 2
