@@ -137,6 +137,13 @@ class Localizer:
         for left_out in (True, False):
             if moved := {j: size for j, size in self._moved.items() if (j not in self._declared) == left_out}:
                 lost += (said_of_moved(moved, max(moved.values()), left_out=left_out),)
+        if self.tracker is None and len(self._rows) >= FIRST_CHECK:
+            known = sum(j in self._landmarks for _, j, _ in self._rows)
+            lost += (
+                f"the robot has not been found in the map: of {len(self._rows)} sightings, {known} have ids of the map. "
+                "Poses are those from where it began. first_fix(log, map) names the likely cause, such as too few landmarks, "
+                "other ids, another place or unit, or a mirrored map",
+            )
         if not self._contradicted:
             return lost
         counted = said_of_wider(self._deviation) if self._deviation else TAKEN_FOR_RIGHT.replace("covariances", "risks")
