@@ -1,14 +1,9 @@
 """What a log says about each landmark of a map: it is where the map has it, has moved, or is gone; and which are new.
 
-**Moved.** With a shift d_j of landmark j, what its sightings see is m_j + d_j. At the solution m of the graph with the map's
-prior (mean mu, information L) and the covariance P of the landmarks, the least squares estimate of the shift and its
-information are, in the linear model and without solving again,
-
-    S = L - L P L,    d_j = S_jj^-1 (L (m - mu))_j,
-
-so that d_j is the difference of the position from this log and the rest of the map, and that in the map. A landmark that has
-moved becomes another one in this log, and the graph is solved again, until all others agree: it does not pull the trajectory.
-Its shift is then the difference of both nodes. The odds of moved are
+**Moved.** `solvers.map_errors` has the least squares estimate of the shift d_j of a landmark and its information S_jj, in the
+linear model and without solving again. A landmark that has moved becomes another one in this log, and the graph is solved
+again, until all others agree: it does not pull the trajectory. Its shift is then the difference of both nodes. The odds of
+moved are
 
     prior odds * N(d_j; 0, S_jj^-1 + diag(`MOVE`, `MOVE`, turn)²) / N(d_j; 0, S_jj^-1),
 
@@ -21,8 +16,7 @@ never seen is gone with the likelihood 1, and there with E[(1 - d)^n], n the num
 error of its place relative to the trajectory is the same in all scans. Let it be z standard deviations in range and bearing:
 each z gives a number n, and the expectation is also taken over z (Gauss-Hermite quadrature).
 
-Sources: Belsley, Kuh and Welsch, *Regression Diagnostics*, 1980, chapter 2 (deletion of observations); Skellam, *A
-probability distribution derived from the binomial distribution*, JRSS B 1948.
+Source: Skellam, *A probability distribution derived from the binomial distribution*, JRSS B 1948.
 """
 
 from __future__ import annotations
@@ -34,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from ..edges import PriorEdges, Way
+from ..edges import PriorEdges
 from ..errors import GraphError, OptionError, checks, quoted
 from ..graph import Graph
 from ..log import Log
@@ -43,6 +37,7 @@ from ..maps.map_evidence import log_sum
 from ..maps.registration import Points, register
 from ..metrics import align
 from ..se2 import Array, rotation, transform, wrap
+from ..solvers.map_errors import scores_in_map
 from ..solvers.solution import Solution
 from ..solvers.solve import solve
 from .assignment import log_density
@@ -300,18 +295,11 @@ def _shifts(solution: Solution, fresh: dict[int, int], prior: float) -> dict[int
     if not ids:
         return {}
     P = solution.covariance(landmarks=[*ids, *(fresh[j] for j in fresh)], joint=True)
-    size, of_coordinates = d * len(ids), np.tile(np.arange(3) < d, len(ids))
-    L = used.information(ids, d)[np.ix_(of_coordinates, of_coordinates)]
-    means, places = np.zeros((2, len(ids), 3))
-    for k, j in enumerate(ids):
-        means[k, : min(d, len(used[j]))] = used[j][:d]
-        places[k, :d] = solution.landmarks[j]
+    size = d * len(ids)
     # a joint prior turns with the map
     pivot = next((family.pivot for family in graph.families if isinstance(family, PriorEdges)), None)
-    way = Way.of(places, means, pivot)
-    LJ = L @ way.jacobian()[np.ix_(of_coordinates, of_coordinates)]
-    score = L @ way.v[of_coordinates]
-    S = L - LJ @ P[:size, :size] @ LJ.T
+    places = np.array([solution.landmarks[j][:d] for j in ids])
+    score, S, L, turn = scores_in_map(used, ids, places, P[:size, :size], pivot)
     found = {}
     for k, j in enumerate(ids):
         n = min(d, len(used[j]))
@@ -329,11 +317,11 @@ def _shifts(solution: Solution, fresh: dict[int, int], prior: float) -> dict[int
                 continue
             V = np.linalg.inv(of_log)
             shift = V @ score[rows]
-            shift[:2] = shift[:2] @ way.turn[:2, :2]
+            shift[:2] = shift[:2] @ turn[:2, :2]
         shift[2:] = wrap(shift[2:])
         density, square = log_density(shift, V)
         # one that has moved may have turned or not
-        turned = [log_density(shift, V + np.diag([MOVE, MOVE, turn][: len(shift)]) ** 2)[0] for turn in (0.0, TURN)]
+        turned = [log_density(shift, V + np.diag([MOVE, MOVE, std][: len(shift)]) ** 2)[0] for std in (0.0, TURN)]
         gain = log_sum(turned) - np.log(2) - density
         odds = np.log(prior / (1 - prior)) + gain
         found[j] = shift, float(square), float(1 / (1 + np.exp(-np.clip(odds, -700, 700))))

@@ -52,6 +52,7 @@ CHANGES = {
     "in kilometres: give it in metres": (1000.0, 1000.0),
     "in feet: give it in metres": (0.3048, 0.3048),
 }
+DEGREES = "in degrees, x as longitude and y as latitude: project it to metres"
 #: the part of the sightings that agree beyond which no other of these mistakes is tried
 SURE_SHARE = 0.9
 #: attempts with more sightings and less evidence after which no more are taken
@@ -429,7 +430,12 @@ def _no_fix(
 
 def _corrected(landmarks: LandmarkMap) -> Iterator[tuple[str, LandmarkMap]]:
     """The common mistakes in maps, each with the map without it."""
-    for name, (x, y) in CHANGES.items():
+    changes, middle = dict(CHANGES), np.mean([place[:2] for place in landmarks.values()], axis=0)
+    if abs(middle[0]) <= 180 and abs(middle[1]) <= 90:
+        # metres of a degree, of the ellipsoid WGS 84
+        n = np.cos(np.radians(middle[1]) * np.array([1, 3, 2, 4]))
+        changes[DEGREES] = float(111_412.8 * n[0] - 93.5 * n[1]), float(111_132.9 - 559.8 * n[2] + 1.2 * n[3])
+    for name, (x, y) in changes.items():
         places, squares = {j: place[:2] * (x, y) for j, place in landmarks.items()}, np.outer((x, y), (x, y))
         yield name, LandmarkMap(places, {j: C[:2, :2] * squares for j, C in landmarks.covariances.items()})
 

@@ -117,7 +117,8 @@ def _table(path: Path) -> Parts:
     if "var_x" in columns:
         missing = [name for name in COVARIANCE[:3] if name not in columns]
         if missing:
-            raise table.error(None, f"there is a column var_x, but no column {missing[0]} of the covariance")
+            advice = "give it, too, with 0 where errors along x and y are independent"
+            raise table.error(None, f"there is a column var_x, but no column {missing[0]} of the covariance; {advice}")
         used = [name for name in COVARIANCE if name in columns]
         values = np.full((len(ids), len(COVARIANCE)), np.nan)
         values[:, [COVARIANCE.index(name) for name in used]] = table.numbers([columns[name] for name in used])

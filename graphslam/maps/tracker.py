@@ -112,10 +112,12 @@ class Tracker:
         doubt: the number of contradictions, less that of agreements, never below 0.
         since, expected: the step at which it left 0 last, and the pose and covariance before that.
         squares: the last d² of sightings with a landmark.
+        against: {landmark: how many of its sightings in a row contradict, up to the last one}.
     """
 
     def __init__(self, landmarks: LandmarkMap, sensor: SensorModel, pose: Array, covariance: Array) -> None:
         self.squares: deque[float] = deque(maxlen=WINDOW)
+        self.against: dict[int, int] = {}
         self._sensor = sensor
         self._ids = np.array(list(landmarks))
         places, covariances = landmarks.arrays(landmarks)
@@ -135,7 +137,7 @@ class Tracker:
         """An independent tracker in the same map."""
         other = object.__new__(Tracker)
         vars(other).update(vars(self))
-        for name in ("squares", "_scores", "_count", "_unknown"):
+        for name in ("squares", "against", "_scores", "_count", "_unknown"):
             setattr(other, name, deepcopy(getattr(self, name)))
         return other
 
@@ -231,6 +233,9 @@ class Tracker:
         self._scores[0][k] += weight * without @ e
         self._scores[1][k] += weight * without
         seen.contradict[n], seen.agree[n] = square > AGREES, square <= AGREES
+        before = self.against.pop(landmark := int(self._ids[k]), 0)
+        if seen.contradict[n]:
+            self.against[landmark] = before + 1
         if seen.agree[n]:
             K = self.covariance @ J.T @ inverse
             self.pose, P = self.pose - K @ e, self.covariance - K @ J @ self.covariance

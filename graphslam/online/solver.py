@@ -57,9 +57,10 @@ class OnlineSolver:
 
     In a map (``map``) the robot need not know where it is: without ``start`` its poses are those from the origin, until its
     sightings say surely where in the map it began (`located`), and are in the map then. Sightings may have no ids there. A
-    robot that is lifted is found again. `integrity_risk` is the probability that the pose is off by more than a bound. Where
-    most landmarks contradict the map, it counts as off by what they show, and `notes` say so. That goes through the drive
-    again, and the call takes as long; beyond 3000 sightings `notes` alone say it, and poses and risks take the map for right.
+    robot that is lifted is found again. `integrity_risk` is the probability that the pose is off by more than a bound. With a
+    kernel, landmarks that have surely moved leave the map. Where most landmarks contradict the map, it counts as off by what
+    they show. `notes` say so. Both go through the drive again, and the call takes as long; beyond 3000 sightings `notes`
+    alone say it, and poses and risks take the map for right.
 
     Args:
         start: the first pose (3,); default: the origin, or unknown in a map.
@@ -108,7 +109,7 @@ class OnlineSolver:
             # without a covariance the start is exact
             held = np.linalg.inv(ANCHOR_INFORMATION) if held is None else held
             make = partial(kind, sensor=self.sensor, kernel=self.kernel, **options)
-            self._backend = cast(Backend, Localizer(make, known_map, self.sensor, first, held))
+            self._backend = cast(Backend, Localizer(make, known_map, self.sensor, first, held, self.kernel is not None))
         else:
             self._backend = kind(np.zeros(3) if first is None else first, self.sensor, self.kernel, **options)
         #: whether nobody has said where the first pose is

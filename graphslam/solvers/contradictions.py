@@ -33,7 +33,7 @@ procedure for use in geodetic networks*, 1968 (the covariance of residuals).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -198,10 +198,18 @@ def without_moved(solution: Solution, again: Callable[[Graph], Solution]) -> tup
         solution, graph = replace(solution, seconds=seconds + solution.seconds), solution.graph
     if not away:
         return first, ""
-    return solution, (
-        f"probably moved since the map was made: {listed('landmark', sorted(away))}, by up to {largest:.2g} m. The map "
-        "counts without moved landmarks, which this log places anew; map_states says what else has changed"
-    )
+    return solution, said_of_moved(away, largest, left_out=True)
+
+
+def said_of_moved(ids: Iterable[int], size: float, *, left_out: bool) -> str:
+    """A sentence on landmarks that have moved, by up to a size [m], and whether the map counts without them."""
+    done = "The map counts without moved landmarks, which this log places anew; map_states says what else has changed"
+    if not left_out:
+        done = (
+            "Moved landmarks pull the poses along, which are less exact than their covariances say; map_states says what has "
+            "changed, and its map leaves moved landmarks out"
+        )
+    return f"probably moved since the map was made: {listed('landmark', sorted(ids))}, by up to {size:.2g} m. {done}"
 
 
 def _moved(graph: Graph, tested: np.ndarray, g: Array, S: Array, alone: Array, ratio: float) -> str:
@@ -217,11 +225,7 @@ def _moved(graph: Graph, tested: np.ndarray, g: Array, S: Array, alone: Array, r
             "robust kernel (kernel='cauchy'), and ask map_states what has changed"
         )
     ids = graph.landmark_ids[tested[determined][moved] - len(graph.steps)]
-    return (
-        f"probably moved since the map was made: {listed('landmark', ids.tolist())}, by up to {size[moved].max():.2g} m. "
-        "Moved landmarks pull the poses along, which are less exact than their covariances say; map_states says what has "
-        "changed, and its map leaves moved landmarks out"
-    )
+    return said_of_moved(ids.tolist(), float(size[moved].max()), left_out=False)
 
 
 def _unbiased(graph: Graph, state: Array) -> Graph:

@@ -10,18 +10,27 @@ Its minimum is the s of the next solution. The first one follows from the scores
 (`contradictions`). The map stays as it is where the log is not much more probable with s than without, if the noise is
 as large as the residuals of the last solution show.
 
-Source: MacKay, *Bayesian interpolation*, Neural Computation 1992 (the evidence of a prior's variance).
+**Single landmarks.** With a shift d_j of landmark j, what its sightings see is m_j + d_j. At the solution m with the map's
+prior (mean mu, information L) and the covariance P of the landmarks, the least squares estimate of the shift and its
+information are, in the linear model and without solving again,
+
+    S = L - L P L,    d_j = S_jj^-1 (L (m - mu))_j,
+
+so that d_j is the difference of the position from this log and the rest of the map, and that in the map.
+
+Sources: MacKay, *Bayesian interpolation*, Neural Computation 1992 (the evidence of a prior's variance); Belsley, Kuh and
+Welsch, *Regression Diagnostics*, 1980, chapter 2 (deletion of observations).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..edges import LandmarkPriors, PriorEdges
+from ..edges import LandmarkPriors, PriorEdges, Way
 from ..errors import GraphError
 from ..graph import Graph
 from ..graph.build import priors_of_map
@@ -144,3 +153,26 @@ def displacements(g: Array, S: Array, alone: Array) -> tuple[Array, Array, np.nd
     own, forces = own[determined], g.reshape(count, 2)[determined]
     moved = np.linalg.solve(own, forces[:, :, None])[:, :, 0]
     return np.einsum("ki,ki->k", moved, forces), np.hypot(moved[:, 0], moved[:, 1]), determined
+
+
+def scores_in_map(
+    known: LandmarkMap, ids: Sequence[int], places: Array, covariance: Array, pivot: Array | None
+) -> tuple[Array, Array, Array, Array]:
+    """L (m - mu) (k,), S (k, k) and L (k, k) of landmarks at places (K, d) with a covariance P (k, k), k = d K.
+
+    With them (3, 3), which turns axes of the world into those of the prior.
+
+    Args:
+        known: the map, none of whose coordinates is exact.
+        pivot: of the prior (`edges.Way`), where it turns with the map.
+    """
+    d = places.shape[1]
+    chosen = np.tile(np.arange(3) < d, len(ids))
+    means, nodes = np.zeros((2, len(ids), 3))
+    for k, j in enumerate(ids):
+        means[k, : min(d, len(known[j]))] = known[j][:d]
+    nodes[:, :d] = places
+    L = known.information(ids, d)[np.ix_(chosen, chosen)]
+    way = Way.of(nodes, means, pivot)
+    mixed = L @ way.jacobian()[np.ix_(chosen, chosen)]
+    return L @ way.v[chosen], L - mixed @ covariance @ mixed.T, L, way.turn

@@ -124,6 +124,7 @@ def test_yaml_of_apriltag_bundles_and_of_tagslam_is_read(tmp_path):
         ("m.csv", "id,x,y\n1,0,0\n1,1,1\n", "m.csv:3: landmark 1 is in the map twice"),
         ("m.csv", "id,x,y\n1,0,\n", "m.csv:2: 'y' is empty"),
         ("m.csv", "id,x,y,var_x,cov_xy,var_y\n1,0,0,1,,1\n", "m.csv:2: the covariance of landmark 1 is not complete"),
+        ("m.csv", "id,x,y,var_x,var_y\n1,0,0,1,1\n", "no column cov_xy of the covariance; give it, too, with 0 where"),
         ("m.csv", "id,x,y,var_x,cov_xy,var_y\n1,0,0,1,2,1\n", "negative eigenvalue -1"),
         ("m.csv", "id,x,y,sigma_x,sigma_y\n1,0,0,1,1\n", "the column sigma_x seems to tell errors"),
         ("m.csv", "id,x,y,x_std,y_std\n1,0,0,1,1\n", "the column x_std seems to tell errors"),

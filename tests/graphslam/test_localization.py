@@ -261,6 +261,10 @@ def test_maps_that_do_not_fit_are_refused_with_the_cause():
     assert "with the map with ids one higher" in refused(log, {j - 1: m for j, m in true.items() if j > 0})
     assert "in millimetres" in refused(log, {j: m * 1000 for j, m in true.items()})
     assert "in feet" in refused(log, {j: m / 0.3048 for j, m in true.items()})
+    # metres of a degree at 35.6 degrees of latitude, by the radii of curvature of the ellipsoid WGS 84
+    latitude, root = np.radians(35.6), np.sqrt(1 - 0.00669438 * np.sin(np.radians(35.6)) ** 2)
+    degree = np.radians(6378137.0) * np.array([np.cos(latitude) / root, (1 - 0.00669438) / root**3])
+    assert "in degrees" in refused(log, {j: m / degree + (139.7, 35.6) for j, m in true.items()})
     rng = np.random.default_rng(0)
     assert "another place" in refused(log, {j: rng.uniform(-20, 20, 2) for j in true})
     assert "sees no landmark of the map" in refused(log, {100 + j: m for j, m in true.items()})

@@ -106,6 +106,11 @@ def against_map(robot):
     return [note for note in robot.notes if note.startswith("the drive contradicts the map")]
 
 
+def of_moved(robot):
+    """What a robot that drives says of landmarks that have moved."""
+    return [note for note in robot.notes if note.startswith("probably moved since the map was made")]
+
+
 @pytest.mark.parametrize("size", [0.1, 0.3])
 def test_a_robot_that_drives_counts_the_errors_of_its_map(size):
     log, known = drive(41)
@@ -173,7 +178,7 @@ def test_a_robot_that_drives_takes_a_right_map_for_right(misread):
         rng = np.random.default_rng(seed)
         ids = np.where(rng.random(len(log.landmarks)) < misread, rng.permutation(log.landmarks), log.landmarks)
         robot, _ = driven(log.replace(landmarks=ids), known)
-        assert robot.located and not against_map(robot)
+        assert robot.located and not against_map(robot) and not of_moved(robot)
 
 
 def test_a_robot_that_drives_says_that_there_is_more_noise_than_its_models_have(monkeypatch):
@@ -257,6 +262,40 @@ def test_moved_landmarks_do_not_pull_the_poses(exact):
     for j in moved:
         assert np.hypot(*(solution.map[j] - known[j])) < 0.1
         assert solution.map.covariances[j] == pytest.approx(without.map.covariances[j], rel=1e-4)
+
+
+@pytest.mark.parametrize("said", ["exact", "own", "joint"])
+def test_moved_landmarks_leave_the_map_of_a_robot_that_drives(said):
+    log, known = drive(5)
+    moved = list(known)[:3]
+    wrong = {j: place + (0.7, -0.5) if j in moved else place for j, place in known.items()}
+    own, common = 0.01**2 * np.eye(2 * len(known)), 0.05**2 * np.tile(np.eye(2), (len(known), len(known)))
+    given = (
+        LandmarkMap(wrong, joint=own + common)
+        if said == "joint"
+        else LandmarkMap(wrong, joint=own).used_as("own" if said == "own" else "fixed")
+    )
+    robot, square = driven(log, given)
+    (note,) = robot.notes
+    size = float(re.search("landmarks 0, 1 and 2, by up to ([0-9.]+) m. The map counts without", note)[1])
+    assert size == pytest.approx(np.hypot(0.7, 0.5), abs=0.2) and square < 2
+    # all is as if the map had never had them
+    without, _ = driven(log, given.among(set(known) - set(moved)))
+    np.testing.assert_allclose(robot.poses, without.poses, atol=1e-6)
+    assert robot.covariance() == pytest.approx(without.covariance(), rel=1e-6)
+    for j in moved:
+        assert np.hypot(*(robot.landmarks[j] - known[j])) < 0.1
+
+
+def test_moved_landmarks_of_a_long_drive_are_named(monkeypatch):
+    log, known = drive(5)
+    known[0] = known[0] + (0.7, -0.5)
+    # a long drive is not gone through again
+    monkeypatch.setattr("graphslam.online.localizer.MOST_AGAIN", 0)
+    (note,) = of_moved(driven(log, known)[0])
+    assert "made: landmark 0, by up to" in note and "pull the poses along" in note
+    # without a kernel they pull others along, and which these are is not known
+    assert not of_moved(driven(log, known, kernel="none")[0])
 
 
 @pytest.mark.parametrize("kernel", ["none", "cauchy"])

@@ -378,3 +378,16 @@ def test_the_noise_of_an_unknown_robot_is_estimated_with_the_ids_that_the_map_gi
     other = LandmarkMap({j: place * [1, -1] for j, place in true.items()})
     with pytest.raises(GraphError, match="where in the map it begins"):
         Graph.from_log(unnamed(log), map=other, noise="auto")
+
+
+def test_a_robot_that_is_not_found_says_so():
+    log = elsewhere(10, (-4.0, 3.0, 0.0))
+    mirrored = {j: (place[0], -place[1]) for j, place in TRUE.items()}
+    for known, ids in ((mirrored, len(log.steps)), ({1000 + j: place for j, place in mirrored.items()}, 0)):
+        solver = OnlineSolver(map=known, **MODELS)
+        assert driven(log, solver) is None
+        (note,) = (note for note in solver.notes if "not been found" in note)
+        assert f"of {len(log.steps)} sightings, {ids} have ids of the map" in note
+    # one that is found says nothing
+    solver = OnlineSolver(map=TRUE, **MODELS)
+    assert driven(log, solver) is not None and not any("not been found" in note for note in solver.notes)
