@@ -127,9 +127,9 @@ CALIBRATED = 1 / 30
 def hold_needless(fitted: Unknowns, rounds: int) -> dict[str, float]:
     """Hold the biases of the kinds that the log does not show: {name: its remaining standard deviation}.
 
-    With the evidence K the ideal values have the probability P = K / (1 + K). With the probability 1 - P the mean square of a
-    bias about them is that of the estimate. Otherwise the robot is calibrated, but not perfectly: its bias has the standard
-    deviation `CALIBRATED` of the prior before the log, and a smaller one after a log that tells it better.
+    With the evidence K for a bias alone, its ideal value has the probability P = K / (1 + K). With the probability 1 - P its
+    mean square about that is the one of the estimate. Otherwise the robot is calibrated, but not perfectly: its bias has the
+    standard deviation `CALIBRATED` of the prior before the log, and a smaller one after a log that tells it better.
     """
     held: dict[str, float] = {}
     p, variances = fitted.parameters, np.diagonal(fitted.linearized().covariance)
@@ -138,8 +138,9 @@ def hold_needless(fitted: Unknowns, rounds: int) -> dict[str, float]:
     if len(needless) > 1 and fitted.evidence_against(sum(needless, ())) <= CONVINCING:
         # either kind may have none, but not both: a circle of the wrong radius is one of wheels or of the place of the sensor
         return held
-    for names, evidence in needless.items():
-        doubt = 1.0 / (1.0 + np.exp(min(evidence, 700.0)))
+    for names in needless:
+        # of each alone: what the log tells of the others says little about the place of the sensor
+        doubt = 1.0 / (1.0 + np.exp(np.minimum([fitted.evidence_against([name]) for name in names], 700.0)))
         k = [p.names.index(name) for name in names]
         squares = variances[k] + (p.values[k] - p.means[k]) ** 2
         of_log = np.maximum(1 / variances[k] - p.deviations[k] ** -2, 0.0)

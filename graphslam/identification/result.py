@@ -26,7 +26,7 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .corrections import corrected_log, honest_variances, without_biases
 from .declared import KINDS, PLACE, ParameterEstimate
-from .odometry import NOISE
+from .odometry import NOISE, sighting_times
 from .sensor_errors import Lens, Turn, turned_back, undistorted
 from .sighting_errors import LAGS, Ids, Predictions, RangeErrors, common_errors, evened
 from .slips import Slip
@@ -136,6 +136,9 @@ MIN_INFORMATION = 0.7
 FEW, MANY_MISREAD, IMPLAUSIBLE = 150, 0.2, 4.0
 #: fewer numbers that show the noise of the motion are a doubt (docs/decisions.md)
 HARDLY_SHOWN = 12.0
+#: more scans in one row of the odometry that lasts longer than the second number [s] are a doubt: with 4, 5 and 20 scans the
+#: median NEES / 3 is 1.5, 1.5 and 2.4, and 9 to 18 at most; with 2 it is 1.0 (docs/decisions.md)
+SCANS_IN_ROW, SLOW = 3.0, 0.2
 #: sightings that are earlier than the odometry by more than this [s], and by so many standard deviations, have a remark:
 #: sensors are late
 EARLY, SURELY = 0.03, 4.0
@@ -274,6 +277,12 @@ class RobotEstimate:
                 "is too poor to show is missing in the standard deviations of the poses; noise that is known goes into "
                 "motion and sensor models, or noise=FILE"
             )
+        if (scans := self._scans_in_row) > SCANS_IN_ROW:
+            lines.append(
+                f"the odometry has one row for about {scans:.0f} scans, and does not say how speeds change within a row: "
+                "scales, place and delay of the sensor may be off by several standard deviations, and so may the poses. Record "
+                "the odometry as often as the sensor sees, and give the sensor offset and the delay where they are known"
+            )
         if self.on_motion < HARDLY_SHOWN:
             lines.append(
                 "the drive is too short, or the sensor too poor, to tell the noise of the odometry: the standard deviations "
@@ -291,6 +300,15 @@ class RobotEstimate:
                 "times less accurate than with the true noise, which motion and sensor models, or noise=FILE, give"
             )
         return tuple(lines)
+
+    @property
+    def _scans_in_row(self) -> float:
+        """How many scans there are while one row of the odometry lasts, where rows last longer than `SLOW`, else 0."""
+        drive = self.log
+        if drive.dt is None or len(scans := np.unique(sighting_times(drive))) < 2:
+            return 0.0
+        lasting = float(np.median(drive.dt if drive.recorded_dt is None else drive.recorded_dt))
+        return lasting / float(np.median(np.diff(scans))) if lasting > SLOW else 0.0
 
     @property
     def remarks(self) -> tuple[str, ...]:
