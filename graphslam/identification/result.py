@@ -29,7 +29,7 @@ from .declared import KINDS, PLACE, ParameterEstimate
 from .odometry import NOISE, sighting_times
 from .sensor_errors import Lens, Turn, turned_back, undistorted
 from .sighting_errors import LAGS, Ids, Predictions, RangeErrors, common_errors, evened
-from .slips import Slip
+from .slips import Slip, Uneven, levelled
 from .unknowns import DEGREES_SIGHTINGS, HELD, OF_GAUSSIAN_MOTIONS, PRIORS, Unknowns
 
 #: the duration of a part that is left out [s], every which part is left out at once, and the steps to the new solution,
@@ -178,6 +178,7 @@ class RobotEstimate:
         slips: stretches on which the odometry is wrong; the log has more noise of the controls there.
         turns: moments at which the sensor was turned; the log has the bearings without them.
         lens: the error of the bearings that grows with them, if any; the log has them without it.
+        uneven: scales of the odometry that differ between two directions; the log has the controls without the differences.
         ranges: the errors of the ranges that differ between landmarks, if any; the log has them without these.
     """
 
@@ -199,6 +200,7 @@ class RobotEstimate:
     turns: tuple[Turn, ...] = ()
     lens: Lens | None = None
     ranges: RangeErrors | None = None
+    uneven: tuple[Uneven, ...] = ()
 
     def __repr__(self) -> str:
         return f"<RobotEstimate: {'; '.join(self.sentences)}>"
@@ -206,7 +208,7 @@ class RobotEstimate:
     def corrected(self, log: Log) -> Log:
         """A log of the robot without the biases that were found, with these noise models; repaired motions as recorded."""
         biases = {n: value for n, value in zip(self.parameters.names, self.parameters.values) if n not in PLACE}
-        log = turned_back(undistorted(evened(log, self.ranges), self.lens), self.turns)
+        log = turned_back(undistorted(evened(levelled(log, self.uneven), self.ranges), self.lens), self.turns)
         log = without_biases(log, motion=self.motion, sensor=self.sensor, **biases)
         variances = honest_variances(log)
         return log.replace(
@@ -265,6 +267,7 @@ class RobotEstimate:
         ]
         lines += [slip.sentence(self.log) for slip in self.slips]
         lines += [turn.sentence(self.log) for turn in self.turns]
+        lines += [each.sentence for each in self.uneven]
         if self.lens is not None:
             lines.append(self.lens.sentence)
         if self.ranges is not None:
@@ -280,8 +283,9 @@ class RobotEstimate:
         if (scans := self._scans_in_row) > SCANS_IN_ROW:
             lines.append(
                 f"the odometry has one row for about {scans:.0f} scans, and does not say how speeds change within a row: "
-                "scales, place and delay of the sensor may be off by several standard deviations, and so may the poses. Record "
-                "the odometry as often as the sensor sees, and give the sensor offset and the delay where they are known"
+                "scales, place and delay of the sensor may be off by several standard deviations, and so may the poses. "
+                "Record the odometry as often as the sensor sees, and give the sensor offset and the delay where they are "
+                "known"
             )
         if self.on_motion < HARDLY_SHOWN:
             lines.append(
