@@ -181,7 +181,7 @@ def test_biases_that_the_log_does_not_tell_stay_uncertain(monkeypatch: pytest.Mo
         return float(sum(np.log(priors / deviations)[names.index(name)] for name in some))
 
     fitted = SimpleNamespace(
-        parameters=parameters, evidence_against=evidence_against, hold=lambda held: None,
+        parameters=parameters, evidence_against=evidence_against, hold=lambda _: None,
         linearized=lambda: SimpleNamespace(covariance=np.diag(deviations**2)),
     )  # fmt: skip
     monkeypatch.setattr(restricted_likelihood, "KINDS", {"sensor": names})
