@@ -305,6 +305,15 @@ def _means(total: Array, ends: Array, times: Array, window: float) -> Array:
     return (np.interp(until, ends, total) - np.interp(since, ends, total)) / (until - since)
 
 
+def magnitudes(log: Log) -> Array:
+    """|u| (S, 2) of the recorded controls, averaged for `LONGEST` before and after: noise about zero is no motion."""
+    assert log.controls is not None and log.dt is not None
+    ends = log.control_times
+    middles = (ends[:-1] + ends[1:]) / 2
+    columns = [_means(_summed(each * log.dt), ends, middles, LONGEST) for each in log.controls.T]
+    return np.abs(np.column_stack(columns))
+
+
 def corrected_log(parameters: Parameters) -> Log:
     """The log corrected by the parameters; its initial poses stay.
 

@@ -31,6 +31,7 @@ from .corrections import (
     controls_at_steps,
     corrected_controls,
     honest_variances,
+    magnitudes,
     motion_slopes,
     smoothed_controls,
 )
@@ -199,6 +200,14 @@ class Odometry:
         inside = slice(steps[0], steps[-1])
         motions, levers = _joined(motions[inside], steps - steps[0])
         return motions, np.add.reduceat(levers @ slopes[inside], steps[:-1] - steps[0])
+
+    def by_differences(self, parameters: Parameters, steps: np.ndarray) -> Array:
+        """The derivative (n, 3, 2) of the motions between poses by `Uneven.difference` of speeds and of turn rates."""
+        everything, inside = replace(parameters, recorded=self.log), slice(steps[0], steps[-1])
+        motions, slopes = motion_slopes(everything, corrected_controls(everything), scaled=magnitudes(self.log) / 2)
+        scales = [parameters.names.index(name) for name in ("wheel_scale", "turn_scale")]
+        levers = _joined(motions[inside], steps - steps[0])[1]
+        return np.add.reduceat(levers @ slopes[inside][:, :, scales], steps[:-1] - steps[0])
 
     def poses(self, parameters: Parameters) -> Array:
         """The poses (T+1, 3) of the corrected controls."""

@@ -127,9 +127,10 @@ CALIBRATED = 1 / 30
 def hold_needless(fitted: Unknowns, rounds: int) -> dict[str, float]:
     """Hold the biases of the kinds that the log does not show: {name: its remaining standard deviation}.
 
-    With the evidence K the ideal values have the probability P = K / (1 + K). With the probability 1 - P the mean square of a
-    bias about them is that of the estimate. Otherwise the robot is calibrated, but not perfectly: its bias has the standard
-    deviation `CALIBRATED` of the prior before the log, and a smaller one after a log that tells it better.
+    With the evidence K, of the sensor for each bias alone, the ideal values have the probability P = K / (1 + K). With the
+    probability 1 - P the mean square of a bias about them is that of the estimate. Otherwise the robot is calibrated, but
+    not perfectly: its bias has the standard deviation `CALIBRATED` of the prior before the log, and a smaller one after a
+    log that tells it better.
     """
     held: dict[str, float] = {}
     p, variances = fitted.parameters, np.diagonal(fitted.linearized().covariance)
@@ -139,7 +140,10 @@ def hold_needless(fitted: Unknowns, rounds: int) -> dict[str, float]:
         # either kind may have none, but not both: a circle of the wrong radius is one of wheels or of the place of the sensor
         return held
     for names, evidence in needless.items():
-        doubt = 1.0 / (1.0 + np.exp(min(evidence, 700.0)))
+        # right ranges say little about the place of the sensor or its clock; scales and biases of wheels have one cause
+        alone = names == KINDS["sensor"]
+        each = [fitted.evidence_against([name]) if alone else evidence for name in names]
+        doubt = 1.0 / (1.0 + np.exp(np.minimum(each, 700.0)))
         k = [p.names.index(name) for name in names]
         squares = variances[k] + (p.values[k] - p.means[k]) ** 2
         of_log = np.maximum(1 / variances[k] - p.deviations[k] ** -2, 0.0)
@@ -187,6 +191,26 @@ def gain_over(fitted: Unknowns, other: Unknowns) -> float:
     for each in (fitted, other):
         each.iterate(2)
     return log_likelihood(fitted) - log_likelihood(other)
+
+
+def scores(solved: Unknowns, kind: int, D: Array) -> tuple[Array, Array, Array]:
+    """u = D' W e (K,), P = D' W D - D' W J Omega^-1 J' W D and D' W D (K, K) of a solution.
+
+    Args:
+        solved: the solution.
+        kind: of `Linear.edges`.
+        D: (E, d, K) derivatives of their residuals.
+    """
+    linear = solved.linearized()
+    edges, (nodes, values) = linear.edges[kind], linear.step()
+    # after the next step: what a search has not reached yet looks like an error of the measurements
+    residuals = edges.residuals + edges.moved(nodes[:, :, None], values[:, None])[:, :, 0]
+    weighted = edges.information @ D
+    pulled = np.zeros((*linear.xi.shape, D.shape[2]))
+    following = linear.solve(pulled, edges.pull(weighted, pulled))
+    exact = np.tensordot(weighted, D, ((0, 1), (0, 1)))
+    P = exact - np.tensordot(weighted, edges.moved(*following), ((0, 1), (0, 1)))
+    return np.einsum("eik,ei->k", weighted, residuals), (P + P.T) / 2, exact
 
 
 #: the standard deviation of the wide prior [m], and the gain of the log likelihood per sighting with which it is taken: at

@@ -26,10 +26,10 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .corrections import corrected_log, honest_variances, without_biases
 from .declared import KINDS, PLACE, ParameterEstimate
-from .odometry import NOISE
+from .odometry import NOISE, sighting_times
 from .sensor_errors import Lens, Turn, turned_back, undistorted
 from .sighting_errors import LAGS, Ids, Predictions, RangeErrors, common_errors, evened
-from .slips import Slip
+from .slips import Slip, Uneven, levelled
 from .unknowns import DEGREES_SIGHTINGS, HELD, OF_GAUSSIAN_MOTIONS, PRIORS, Unknowns
 
 #: the duration of a part that is left out [s], every which part is left out at once, and the steps to the new solution,
@@ -136,6 +136,9 @@ MIN_INFORMATION = 0.7
 FEW, MANY_MISREAD, IMPLAUSIBLE = 150, 0.2, 4.0
 #: fewer numbers that show the noise of the motion are a doubt (docs/decisions.md)
 HARDLY_SHOWN = 12.0
+#: more scans in one row of the odometry that lasts longer than the second number [s] are a doubt: with 4, 5 and 20 scans the
+#: median NEES / 3 is 1.5, 1.5 and 2.4, and 9 to 18 at most; with 2 it is 1.0 (docs/decisions.md)
+SCANS_IN_ROW, SLOW = 3.0, 0.2
 #: sightings that are earlier than the odometry by more than this [s], and by so many standard deviations, have a remark:
 #: sensors are late
 EARLY, SURELY = 0.03, 4.0
@@ -175,6 +178,7 @@ class RobotEstimate:
         slips: stretches on which the odometry is wrong; the log has more noise of the controls there.
         turns: moments at which the sensor was turned; the log has the bearings without them.
         lens: the error of the bearings that grows with them, if any; the log has them without it.
+        uneven: scales of the odometry that differ between two directions; the log has the controls without the differences.
         ranges: the errors of the ranges that differ between landmarks, if any; the log has them without these.
     """
 
@@ -196,6 +200,7 @@ class RobotEstimate:
     turns: tuple[Turn, ...] = ()
     lens: Lens | None = None
     ranges: RangeErrors | None = None
+    uneven: tuple[Uneven, ...] = ()
 
     def __repr__(self) -> str:
         return f"<RobotEstimate: {'; '.join(self.sentences)}>"
@@ -203,7 +208,7 @@ class RobotEstimate:
     def corrected(self, log: Log) -> Log:
         """A log of the robot without the biases that were found, with these noise models; repaired motions as recorded."""
         biases = {n: value for n, value in zip(self.parameters.names, self.parameters.values) if n not in PLACE}
-        log = turned_back(undistorted(evened(log, self.ranges), self.lens), self.turns)
+        log = turned_back(undistorted(evened(levelled(log, self.uneven), self.ranges), self.lens), self.turns)
         log = without_biases(log, motion=self.motion, sensor=self.sensor, **biases)
         variances = honest_variances(log)
         return log.replace(
@@ -262,6 +267,7 @@ class RobotEstimate:
         ]
         lines += [slip.sentence(self.log) for slip in self.slips]
         lines += [turn.sentence(self.log) for turn in self.turns]
+        lines += [each.sentence for each in self.uneven]
         if self.lens is not None:
             lines.append(self.lens.sentence)
         if self.ranges is not None:
@@ -273,6 +279,13 @@ class RobotEstimate:
                 "the odometry is taken as it is, with hardly any noise, because the sightings show none: what the sensor "
                 "is too poor to show is missing in the standard deviations of the poses; noise that is known goes into "
                 "motion and sensor models, or noise=FILE"
+            )
+        if (scans := self._scans_in_row) > SCANS_IN_ROW:
+            lines.append(
+                f"the odometry has one row for about {scans:.0f} scans, and does not say how speeds change within a row: "
+                "scales, place and delay of the sensor may be off by several standard deviations, and so may the poses. "
+                "Record the odometry as often as the sensor sees, and give the sensor offset and the delay where they are "
+                "known"
             )
         if self.on_motion < HARDLY_SHOWN:
             lines.append(
@@ -291,6 +304,15 @@ class RobotEstimate:
                 "times less accurate than with the true noise, which motion and sensor models, or noise=FILE, give"
             )
         return tuple(lines)
+
+    @property
+    def _scans_in_row(self) -> float:
+        """How many scans there are while one row of the odometry lasts, where rows last longer than `SLOW`, else 0."""
+        drive = self.log
+        if drive.dt is None or len(scans := np.unique(sighting_times(drive))) < 2:
+            return 0.0
+        lasting = float(np.median(drive.dt if drive.recorded_dt is None else drive.recorded_dt))
+        return lasting / float(np.median(np.diff(scans))) if lasting > SLOW else 0.0
 
     @property
     def remarks(self) -> tuple[str, ...]:

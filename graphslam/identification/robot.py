@@ -58,7 +58,7 @@ from .sighting_errors import (
     inflation,
     smoothed,
 )
-from .slips import Slip, slip_of_drive, without_slips
+from .slips import Slip, Uneven, levelled, slip_of_drive, uneven_of, without_slips
 from .unknowns import Unknowns
 
 #: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare
@@ -128,6 +128,7 @@ def _estimate(
     turns: tuple[Turn, ...] = (),
     lens: Lens | None = None,
     ranges: tuple[RangeErrors, ...] | None = (),
+    uneven: tuple[Uneven, ...] = (),
 ) -> RobotEstimate:
     """The estimate from a log that has enough sightings, and whose sensor has the errors that are known.
 
@@ -135,7 +136,7 @@ def _estimate(
         ranges: their errors that were found, each more exactly than before; the last ones count. None: there are none.
     """
     # the axis of the lens is that of the sensor, so that its error is undone first
-    log, off = turned_back(undistorted(recorded, lens), turns), ranges[-1] if ranges else None
+    log, off = turned_back(undistorted(levelled(recorded, uneven), lens), turns), ranges[-1] if ranges else None
     drive, first, ids, slips = _with_ids(evened(log, off), sensor, rng)
     log = log.replace(control_variances=drive.control_variances)
     measured = ids.correct(drive)
@@ -145,9 +146,11 @@ def _estimate(
     named, right = evened(measured, off), evened(ids.correct(log), off)
     sparse, used = _sparse(named)
     second = _joined(sparse, sensor, first, ROUNDS[2])[0]
+    if len(uneven) < 2 and (one := uneven_of(second)) is not None:
+        return _estimate(recorded, sensor, given, rng, (), None, None if ranges is None else (), (*uneven, one))
     if lens is None and (lens := lens_of(second)) is not None:
         # turns that were found before belong to bearings with another axis
-        return _estimate(recorded, sensor, given, rng, (), lens, None if ranges is None else ())
+        return _estimate(recorded, sensor, given, rng, (), lens, None if ranges is None else (), uneven)
     if ranges is not None and len(ranges) < MOST_IMPROVED:
 
         def count_as_one(solved: Unknowns, errors: RangeErrors) -> float:
@@ -157,9 +160,9 @@ def _estimate(
         few = _of_sightings(measured.with_sightings(used))
         found = range_errors_of(second, few, off, count_as_one)
         if found is not None and found is not off:
-            return _estimate(recorded, sensor, given, rng, turns, lens, (*ranges, found))
+            return _estimate(recorded, sensor, given, rng, turns, lens, (*ranges, found), uneven)
     if len(turns) < MOST_TURNS and (turn := turn_of(second, lambda few: _everywhere(few, named))) is not None:
-        return _estimate(recorded, sensor, given, rng, (*turns, turn), lens, ranges)
+        return _estimate(recorded, sensor, given, rng, (*turns, turn), lens, ranges, uneven)
     exact = fit(second.with_nearly_exact_odometry(), ROUNDS[2])[0]
     held_first, held_with_exact = hold_needless(second, ROUNDS[2]), hold_needless(exact, ROUNDS[2])
     held = held_first
@@ -183,7 +186,7 @@ def _estimate(
     if exact_and_unbiased and compared.count and compared.gain(ESTIMATE, DEAD_RECKONING) < CLEARLY:
         basis = DEAD_RECKONING
     elif compared.count >= ENOUGH and compared.gain(other[0], ESTIMATE) > CLEARLY:
-        return replace(_known(right, ids, *other, compared, slips), turns=turns, lens=lens, ranges=off)
+        return replace(_known(right, ids, *other, compared, slips), turns=turns, lens=lens, ranges=off, uneven=uneven)
     if basis == DEAD_RECKONING:
         # this problem holds what the first one held, too
         second, held = dead_reckoning, held_first | held
@@ -206,7 +209,7 @@ def _estimate(
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, ids=ids, correlations=rho,
         inflation=factor, nearly_exact=nearly_exact, left_out=compared, basis=basis, on_motion=on_motion, of_scans=of_scans,
-        slips=slips, turns=turns, lens=lens, ranges=off,
+        slips=slips, turns=turns, lens=lens, ranges=off, uneven=uneven,
     )  # fmt: skip
 
 

@@ -35,7 +35,7 @@ import numpy as np
 from ..errors import GraphError
 from ..log import Log
 from ..se2 import Array, wrap
-from .restricted_likelihood import fit, gain_over, with_wide_prior
+from .restricted_likelihood import fit, gain_over, scores, with_wide_prior
 from .sighting_errors import MOST_CORRECTED, OFFSET, SCALE, SETTLED, RangeErrors, evened
 from .unknowns import OVERSTATED_SIGHTINGS, Unknowns
 
@@ -157,18 +157,9 @@ def _steps(solved: Unknowns, moments: Array) -> tuple[Array, Array, Array]:
 
 def _scores(solved: Unknowns, row: int, derivatives: Array) -> tuple[Array, Array, Array]:
     """u (K,), P and D' W D (K, K) for derivatives (M, K) of the residuals of all ranges, or of all bearings."""
-    linear = solved.linearized()
-    edges, (nodes, values) = linear.edges[1], linear.step()
-    # after the next step: what a search has not reached yet looks like an error of the bearings
-    residuals = edges.residuals + edges.moved(nodes[:, :, None], values[:, None])[:, :, 0]
-    D = np.zeros((*residuals.shape, derivatives.shape[1]))
+    D = np.zeros((len(derivatives), solved.sightings.shape[1], derivatives.shape[1]))
     D[:, row] = derivatives
-    weighted = edges.information @ D
-    pulled = np.zeros((*linear.xi.shape, derivatives.shape[1]))
-    following = linear.solve(pulled, edges.pull(weighted, pulled))
-    exact = np.tensordot(weighted, D, ((0, 1), (0, 1)))
-    P = exact - np.tensordot(weighted, edges.moved(*following), ((0, 1), (0, 1)))
-    return np.einsum("eik,ei->k", weighted, residuals), (P + P.T) / 2, exact
+    return scores(solved, 1, D)
 
 
 @dataclass(frozen=True)

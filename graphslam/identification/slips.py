@@ -12,6 +12,10 @@ right. D is one of four (`_errors`): a constant error of the speed or of the tur
 them. Sums of u and P over cells of a second give all stretches at once. What is constant over the whole drive is a bias, and
 is projected out.
 
+`uneven_of` tests in the same way whether a scale of the odometry differs between driving forward and in reverse, or between
+left and right turns. D is the derivative by a part of |u| of the controls u. Such a difference counts where the likelihood
+with the controls corrected is larger by enough, each with the noise that fits best.
+
 **Remedy.** The controls of a stretch have an additional variance, with which the error of the whole stretch has the standard
 deviation that was found. What is left then tells how much z is to be trusted: where models are too narrow, or errors
 correlated, all stretches have a large z. So z counts in units of the median of those that are left.
@@ -22,7 +26,8 @@ statistic*, 1997 (the largest z of all stretches).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -33,7 +38,9 @@ from ..linear.cholesky import Factor
 from ..log import Log
 from ..models import additional_variances
 from ..se2 import Array, perpendicular
-from .odometry import Edges
+from .corrections import magnitudes
+from .odometry import Edges, Odometry
+from .restricted_likelihood import fit, gain_over, scores
 from .unknowns import Unknowns
 
 Problem = TypeVar("Problem")
@@ -60,6 +67,9 @@ ROUGHLY = 6.0
 #: the standard deviations of what is constant over the whole drive, for each of the four errors. Wheels have no constant
 #: error. At a constant speed, that and a part of the way would together be any stretch that is recorded as faster
 BIASES = (0.0, 0.1, 0.01, 0.1)
+#: a z above the first number suggests a difference between two directions, which counts where the log likelihood gains the
+#: second; and rounds of solving and improving the variances
+SUGGESTED, GAINED, ROUNDS = 3.5, 12.5, 8
 #: the median of the absolute value of a standard normal number
 MEDIAN = 0.6745
 
@@ -264,6 +274,74 @@ def slip_of_drive(solved: Unknowns) -> Found:
     motions = replace(motions, residuals=motions.residuals + motions.moved(nodes[:, :, None], values[:, None])[:, :, 0])
     ways = Motions(solved.measured()[0], np.diagonal(solved.covariances(motions), axis1=1, axis2=2), times)
     return largest_slip(motions, ways, linear.factor, np.zeros(1, dtype=np.int64))
+
+
+@dataclass(frozen=True)
+class Uneven:
+    """A scale of the odometry that differs between two directions.
+
+    Attributes:
+        column: 0 for speeds forward and in reverse, 1 for turns to the left and to the right.
+        difference: the part by which forward speeds, or left turns, are recorded larger than the others.
+        error: its standard error.
+    """
+
+    column: int
+    difference: float
+    error: float
+
+    @property
+    def sentence(self) -> str:
+        """For the notes of an estimate."""
+        size = f"{100 * self.difference:+.2g} % (standard error {100 * self.error:.1g} %)"
+        if self.column:
+            return (
+                f"left turns are recorded larger than right ones by {size}, as where one of two wheels slips more. They are "
+                "corrected in this log, and files of the robot do not contain the correction"
+            )
+        return (
+            f"forward speeds are recorded larger than those in reverse by {size}, as where wheels slip more in reverse. "
+            "They are corrected in this log, and files of the robot do not contain the correction"
+        )
+
+
+def levelled(log: Log, uneven: Iterable[Uneven]) -> Log:
+    """The log with the controls u - difference |u| / 2."""
+    if not (uneven := tuple(uneven)):
+        return log
+    assert log.controls is not None
+    controls, sizes = log.controls.copy(), magnitudes(log)
+    for each in uneven:
+        controls[:, each.column] -= each.difference / 2 * sizes[:, each.column]
+    return log.replace(controls=controls)
+
+
+def uneven_of(fitted: Unknowns) -> Uneven | None:
+    """The larger difference between two directions of the odometry, if any; ``fitted`` is the solution with few sightings."""
+    z, differences, _ = _differences(fitted)
+    column = int(np.argmax(z))
+    if z[column] < SUGGESTED:
+        return None
+    found = Uneven(column, float(differences[column]), 0.0)
+
+    def again(log: Log) -> Unknowns:
+        start = copy(fitted)
+        start.odometry = Odometry(log)
+        return fit(Unknowns(fitted.log, fitted.log.landmarks, fitted.sensor, start), ROUNDS)[0]
+
+    even, same = again(levelled(fitted.odometry.log, [found])), again(fitted.odometry.log)
+    if gain_over(even, same) < GAINED:
+        return None
+    _, rest, errors = _differences(even)
+    return replace(found, difference=found.difference + float(rest[column]), error=float(errors[column]))
+
+
+def _differences(solved: Unknowns) -> tuple[Array, Array, Array]:
+    """z, the difference and its standard error (2,) of speeds and of turn rates; zero where it is not determined."""
+    u, information, exact = scores(solved, 0, -solved.by_differences())
+    P, most = np.diag(information), DETERMINED * np.diag(exact)
+    P = np.where(most < P, P, np.inf)
+    return np.abs(u) / np.sqrt(P), -u / P, P**-0.5
 
 
 def without_slips(

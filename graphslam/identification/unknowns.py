@@ -276,6 +276,10 @@ class Unknowns:
         """The motions (T, 3) of the corrected controls, and their derivative (T, 3, K) by the parameters."""
         return self.odometry.motions(self.parameters, self._steps)
 
+    def by_differences(self) -> Array:
+        """The derivative (T, 3, 2) of the motions by what `Odometry.by_differences` says."""
+        return self.odometry.by_differences(self.parameters, self._steps)
+
     def sighted(
         self, steps: np.ndarray | None = None, seen: np.ndarray | None = None, sightings: Array | None = None
     ) -> Edges:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,12 +11,14 @@ import pytest
 from graphslam import Drive, SensorModel
 from graphslam.identification import restricted_likelihood
 from graphslam.identification import unknowns as unknowns_module
+from graphslam.identification.declared import KINDS, PLACE
 from graphslam.identification.restricted_likelihood import improve_variances, log_likelihood
 from graphslam.identification.unknowns import (
     DEGREES_MOTIONS,
     DEGREES_SIGHTINGS,
     OF_GAUSSIAN_MOTIONS,
     OF_GAUSSIAN_SIGHTINGS,
+    PRIORS,
     Linear,
     Unknowns,
 )
@@ -166,3 +169,28 @@ def test_standard_errors_are_those_of_gaussian_errors() -> None:
     assert ratios.min() > unknowns_module.OVERSTATED_MOTIONS - 1e-3
     assert ratios.max() < unknowns_module.OVERSTATED_SIGHTINGS[2] + 1e-3
     assert np.ptp(ratios) > 0.1
+
+
+def test_biases_that_the_log_does_not_tell_stay_uncertain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Right ranges, bearings and times hold the place of the sensor at its ideal value, too, and say little about it."""
+    names = KINDS["sensor"]
+    priors = np.array([PRIORS[name] for name in names])
+    told = np.isin(names, PLACE, invert=True)
+    deviations = np.where(told, 0.02, 0.9) * priors
+    parameters = SimpleNamespace(names=names, values=np.zeros(5), means=np.zeros(5), deviations=priors)
+
+    def evidence_against(some: list[str]) -> float:
+        # independent estimates at the ideal values: the quotients of the densities are those of the deviations
+        return float(sum(np.log(priors / deviations)[names.index(name)] for name in some))
+
+    fitted = SimpleNamespace(
+        parameters=parameters, evidence_against=evidence_against, hold=lambda _: None,
+        linearized=lambda: SimpleNamespace(covariance=np.diag(deviations**2)),
+    )  # fmt: skip
+    monkeypatch.setattr(restricted_likelihood, "KINDS", {"sensor": names})
+    monkeypatch.setattr(restricted_likelihood, "fit", lambda *_: None)
+    held = np.array(list(restricted_likelihood.hold_needless(fitted, 1).values()))
+    # with the probability sigma / (s + sigma) of a bias, s its prior
+    expected = np.sqrt(deviations / (priors + deviations)) * deviations
+    assert np.all(held[~told] > expected[~told]) and np.all(held[~told] < 1.01 * expected[~told])
+    assert np.all(held[told] < 0.02 * priors[told])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from comparisons.show.language import translated
 from graphslam import Drive, Log, estimate_robot
 from graphslam.identification.corrections import changes_within, honest_variances
 from graphslam.identification.odometry import ordinary
@@ -36,6 +37,21 @@ def test_right_ids_stay_where_the_predictions_are_wide(seed) -> None:
     ids = estimate_robot(log).ids
     assert not np.any(ids.changed & (log.landmarks == truth.landmarks))
     assert np.all(ids.landmarks[ids.changed] == truth.landmarks[ids.changed])
+
+
+def test_many_scans_in_a_row_of_the_odometry_are_a_doubt() -> None:
+    """Speeds change within a row, which no row says: the covariances are too small by up to 14 times there."""
+
+    def doubt(odometry_rate: float, sensor_rate: float) -> str:
+        rates = {"odometry_rate": odometry_rate, "sensor_rate": sensor_rate}
+        found = estimate_robot(Drive(seed=500, duration=60.0, **rates).simulate()[0])
+        return next((each for each in found.doubts if "how speeds change within a row" in each), "")
+
+    said = doubt(1.0, 10.0)
+    assert "one row for about 10 scans" in said
+    assert "スキャンが約10回" in translated(said, "ja")
+    # as often as the sensor sees; and as fast as most odometry is
+    assert doubt(1.0, 2.0) == doubt(5.0, 10.0) == doubt(20.0, 10.0) == ""
 
 
 def test_changes_within_controls_are_those_of_one_jump() -> None:
