@@ -71,6 +71,17 @@ def test_the_truth_is_taken_at_the_times_of_the_estimate(truth: Path, tmp_path: 
         comparisons.evaluate(rare, tmp_path / "mine.csv")
 
 
+def test_no_motion_leads_across_a_gap_in_the_truth(tmp_path: Path) -> None:
+    """Every step is 10 % too long, so that one across the gap would be off by ten times as much as the others."""
+    known = (TIMES < 108) | (TIMES > 109.05)
+    gap = tmp_path / "gap.tum"
+    gap.write_text(tum_text(TIMES[known], TRUE[known]))
+    found = comparisons.evaluate(gap, written(tmp_path / "mine.csv", TIMES, TRUE * [1.1, 1.1, 1.0])).estimates[0]
+    assert found.compared == np.count_nonzero(known) < 200
+    step = 20 * np.sin(np.pi / 20 * 0.05)
+    assert found.rpe_m == pytest.approx(0.1 * step, rel=1e-6)
+
+
 @pytest.mark.parametrize("held", [True, False])
 def test_right_covariances_have_a_nees_of_one(truth: Path, tmp_path: Path, held: bool) -> None:
     rng = np.random.default_rng(1)
