@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -184,17 +184,17 @@ def evaluate(truth: str | PathLike[str], *estimates: str | PathLike[str], **opti
 
 
 def read_trajectory(path: Path, name: str, options: TableOptions) -> Trajectory:
-    """The trajectory of a table.
+    """The trajectory of a table, a bag or an archive; of the ``options``, these two have the clock alone.
 
     Raises:
         LogError: it has no times or poses; with the line and the likely cause.
     """
     bag, topic = _bag_of(path)
     if bag is not None:
-        return _of_topic(bag, topic, name)
+        return _by_clock(_of_topic(bag, topic, name), options)
     if path.suffix.lower() == ".npz":
         check_file(path)
-        return _of_archive(path, name)
+        return _by_clock(_of_archive(path, name), options)
     if path.suffix.lower() not in (*TEXT, *PARQUET):
         raise LogError(
             f"{path}: a trajectory is a table ({', '.join((*TEXT, *PARQUET))}) with columns t, x, y and theta, a topic of a "
@@ -216,6 +216,11 @@ def read_trajectory(path: Path, name: str, options: TableOptions) -> Trajectory:
             raise table.error(None, "rows with covariances must be in the order of time, and each needs a pose")
         covariances = symmetric(table.numbers([columns[each] for each in COVARIANCE]), UPPER)
     return Trajectory(name, timed.times, poses, covariances, timed.notes)
+
+
+def _by_clock(found: Trajectory, options: TableOptions) -> Trajectory:
+    """A trajectory with the seconds that the options add to its times."""
+    return replace(found, times=found.times + options.clock("truth"))
 
 
 def _bag_of(path: Path) -> tuple[Path | None, str]:
@@ -271,13 +276,14 @@ def _truth(path: Path, options: TableOptions) -> tuple[Trajectory, Mapping[int, 
     if path.suffix.lower() in (*TEXT, *PARQUET) or (_bag_of(path)[1] and _bag_of(path)[0] != path):
         return read_trajectory(path, path.stem, options), None
     if path.suffix.lower() == ".npz" and path.is_file() and "poses" in read_archive(path, "a trajectory"):
-        return _of_archive(path, path.stem), None
+        return _by_clock(_of_archive(path, path.stem), options), None
     log = load(path)
     if log.true_poses is None or log.times is None:
         raise LogError(f"{path}: the log has no true poses with times")
     known = log.covered
     times = np.round(log.times[known] * 1e9).astype(np.int64)
-    return Trajectory(path.stem, times, log.true_poses[known], notes=log.notes), log.true_landmarks
+    found = Trajectory(path.stem, times, log.true_poses[known], notes=log.notes)
+    return _by_clock(found, options), log.true_landmarks
 
 
 def _table_options(options: EvaluationOptions, table: str) -> TableOptions:

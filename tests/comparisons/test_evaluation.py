@@ -259,6 +259,12 @@ def test_tables_archives_and_bags_of_one_estimate_have_the_same_errors(truth: Pa
         assert each.nees == pytest.approx(found[0].nees, rel=1e-6)
     assert found[0].nees == pytest.approx(1.0, abs=4 * np.sqrt(2 / (3 * len(TIMES))))
     assert comparisons.evaluate(bag, table).estimates[0].ate_m == pytest.approx(0.0, abs=1e-6)
+    # clocks hold for all kinds, of the truth as of estimates
+    late = comparisons.evaluate(truth, table, tmp_path / "mine.npz", bag, clocks="estimates=2").estimates
+    assert [each.compared for each in late] == [180, 180, 180]
+    for right in (table, tmp_path / "mine.npz", bag):
+        shifted = comparisons.evaluate(right, table, clocks="truth=2,estimates=2").estimates[0]
+        assert shifted.compared == 200 and shifted.ate_m == pytest.approx(0.0, abs=1e-6)
     with pytest.raises(
         FormatError, match=r"several topics have poses: it has /mine, /other/pose; name one, as in mine:/mine"
     ):
