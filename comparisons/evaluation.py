@@ -21,7 +21,7 @@ import numpy as np
 
 from graphslam import FormatError, LandmarkMap, LogError, OptionError, load, metrics
 from graphslam.errors import named
-from graphslam.files import check_file, path_of, read_archive
+from graphslam.files import check_file, first_bytes, path_of, read_archive
 from graphslam.io.bag_messages import POSES, Poses
 from graphslam.io.bag_topics import SUFFIXES, is_bag, open_bag
 from graphslam.log.drive import truth_of
@@ -36,6 +36,7 @@ from graphslam.se2 import Array, compose, transform
 from .options import EvaluationOptions
 from .results import Displayed
 from .results.documents import Count, jsonable
+from .results.files import NO_HEADINGS
 
 #: times that differ by at most this are the same [ns]: those since 1970 are rounded in other programs
 ROUNDED = 1_000
@@ -205,6 +206,8 @@ def read_trajectory(path: Path, name: str, options: TableOptions) -> Trajectory:
     poses = timed.rows
     if poses.shape[1] == 2:
         poses = np.column_stack([poses, np.full(len(poses), np.nan)])
+    if NO_HEADINGS.encode() in first_bytes(path).splitlines():
+        poses[poses[:, 2] == 0, 2] = np.nan
     columns = {plain(each)[0]: k for k, each in enumerate(table.names or ())}
     covariances = None
     if "var_x" in columns and all(each in columns for each in COVARIANCE):

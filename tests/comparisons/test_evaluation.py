@@ -184,6 +184,17 @@ def test_what_run_writes_has_the_errors_of_its_table(tmp_path: Path) -> None:
         assert found.landmark_rmse_m == pytest.approx(row.landmark_rmse_m, abs=1e-6)
 
 
+def test_unknown_headings_that_run_writes_as_zero_stay_unknown(tmp_path: Path) -> None:
+    log = simulate(seed=1, steps=60)
+    assert log.true_poses is not None
+    log = log.replace(true_poses=log.true_poses * [1, 1, np.nan])
+    comparison = comparisons.run(log, estimators=["graph"], noise="book")
+    comparison.save(tmp_path, figures=())
+    found = comparisons.evaluate(tmp_path / "truth.tum", tmp_path / "graph.tum").estimates[0]
+    assert found.ate_m == pytest.approx(comparison.table["graph"].ate_m, abs=1e-6)
+    assert (found.rpe_m, found.rpe_rad, found.heading_rad) == (None, None, None)
+
+
 def test_the_verb_writes_table_json_and_figure(truth: Path, tmp_path: Path) -> None:
     mine = written(tmp_path / "mine.csv", TIMES, TRUE + [0.1, 0.0, 0.0] * np.sin(TIMES)[:, None])
     flat = tmp_path / "flat.csv"
