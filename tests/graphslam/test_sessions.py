@@ -97,6 +97,20 @@ def test_where_the_motion_between_is_known_the_solution_is_the_uncut_one() -> No
     assert np.abs(between(found.poses[0], found.poses) - between(whole.poses[0], whole.poses)).max() < 1e-4
 
 
+def test_a_drive_whose_first_poses_are_left_out_starts_later_by_its_own_clock() -> None:
+    first, second = (part.replace(start_time=start) for part, start in zip(cut(drive(), 2), (100.0, 7000.0)))
+    joined = join_logs([first, second], placed=True).log
+    kept = np.arange(3, joined.num_poses, 4)
+    sessions = joined.at_steps(kept).sessions
+    assert first.times is not None and second.times is not None
+    own = first.times[3], second.times[kept[sessions[1].start] - first.num_poses]
+    assert [each.start_time for each in sessions] == pytest.approx(own)
+    assert own[1] > 7000.0
+    # drives of which no pose is left are none
+    (last,) = joined.at_steps(np.arange(first.num_poses + 2, joined.num_poses)).sessions
+    assert (last.start, last.start_time) == (0, pytest.approx(second.times[2]))
+
+
 def test_measurements_of_a_later_log_keep_their_poses() -> None:
     first, second = cut(drive(), 2)
     tie = PoseRelations(first=[0], second=[4], motions=[[1.0, 0.0, 0.1]], covariances=np.eye(3))
