@@ -486,14 +486,15 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
     table = reader.leave_out()
     ns, rows = reader.times(), reader.poses(finite=False)
     known = np.asarray(np.isfinite(rows).all(axis=1))
-    notes: tuple[str, ...] = ()
-    if not known.all():
-        notes = (f"{table.source}: {np.sum(~known)} of {len(known)} rows have no pose and are left out",)
+    if not known.any():
+        raise table.error(None, "no row has all numbers of a pose; leave out an empty column, or the ground truth")
+    few = f"{table.source}: {np.sum(~known)} of {len(known)} rows have no pose and are left out"
+    notes = (few,) * (not known.all())
     if rows.shape[1] == 3 and not reader.has("qz") and not counts_turns(rows[known]):
         reader.refuse("theta", rows[:, 2], FOUR_TURNS, TURNED)
     rows[:, 2:] = wrap(rows[:, 2:])
     kept = np.flatnonzero(known)
     ns, order, more = ordered(reader.table, ns[kept], kept)
     rows = rows[kept][order]
-    few, doubts = repeated_times("truth", table, ns, rows, kept[order])
-    return Timed(table, ns, rows, reader.described(), notes=(*notes, *more, *few), doubts=doubts)
+    again, doubts = repeated_times("truth", table, ns, rows, kept[order])
+    return Timed(table, ns, rows, reader.described(), notes=(*notes, *more, *again), doubts=doubts)

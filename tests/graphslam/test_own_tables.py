@@ -167,6 +167,10 @@ def test_truth_and_map(drive):
     assert {j: m.tolist() for j, m in log.true_landmarks.items()} == {3: [1.0, 2.0], 4: [0.5, 0.5]}
     log = load(drive(truth=truth.replace("2.0,1.0,0.1,0.0", "2.0,nan,nan,nan")))
     assert any("1 of 201 rows have no pose" in note for note in log.notes)
+    for names, row in (("t,x,y,theta", "nan,nan,nan"), ("t,x,y", "nan,nan"), ("t,x,y,theta", "1.0,2.0,")):
+        unknown = "\n".join([names, *(f"{t},{row}" for t in T.tolist())])
+        with pytest.raises(LogError, match="no row has all numbers of a pose; leave out an empty column, or"):
+            load(drive(truth=unknown))
 
 
 def test_landmarks_with_names(drive):
