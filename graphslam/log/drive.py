@@ -33,7 +33,7 @@ from .cells import (
     sideways_speed,
     time_faults,
 )
-from .geometry import WHEELS, chosen_axes, controls_of, motion_of, polar
+from .geometry import WHEELS, chosen_axes, controls_of, motion_of, polar, seen_from
 from .rows import (
     AXES,
     MOST_LEFT_OUT,
@@ -451,8 +451,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
             message = "a range or a bearing alone from the robot's centre says nothing about the sensor at its offset"
             advice = "give it as the sensor measured it, with centre='sensor'"
             raise table.error(int(alone_at[0]), f"{message}: {advice}")
-        from_centre = rows[:, :1] * np.column_stack([np.cos(rows[:, 1]), np.sin(rows[:, 1])])
-        rows[:, :2] = polar(from_centre - checked_offset("sensor_offset", options.sensor_offset))
+        rows = seen_from(checked_offset("sensor_offset", options.sensor_offset), rows)
     ns, order, more = ordered(reader.table, ns)
     ids, rows = found.numbers[order], rows[order]
     rows[:, 1:] = wrap(rows[:, 1:])
