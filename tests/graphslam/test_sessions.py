@@ -30,6 +30,7 @@ from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import ate
 from graphslam.se2 import between
 from graphslam.sessions import with_common_noise
+from graphslam.simulation.worlds import simulate_single_numbers
 
 QUIET = MotionModel(nn=0.05, no=0.001, on=0.03, oo=0.05)
 SENSOR = SensorModel(range_rate=0.02, bearing_std=0.01)
@@ -109,6 +110,16 @@ def test_a_drive_whose_first_poses_are_left_out_starts_later_by_its_own_clock() 
     # drives of which no pose is left are none
     (last,) = joined.at_steps(np.arange(first.num_poses + 2, joined.num_poses)).sessions
     assert (last.start, last.start_time) == (0, pytest.approx(second.times[2]))
+
+
+def test_ranges_alone_put_no_log_where_it_belongs() -> None:
+    log = simulate_single_numbers("range", seed=5, poses=60)
+    parts = [log.at_steps(np.arange(30)), log.at_steps(np.arange(30, 60))]
+    with pytest.raises(GraphError, match=r"no landmark that both have seen with range and bearing, .* placed=True"):
+        join_logs(parts)
+    joined = join_logs(parts, placed=True).log
+    assert joined.partial_sightings is not None and log.partial_sightings is not None
+    assert joined.partial_sightings.equals(log.partial_sightings)
 
 
 def test_measurements_of_a_later_log_keep_their_poses() -> None:
