@@ -31,12 +31,12 @@ from graphslam.log.streams import poses_at
 from graphslam.log.table import plain
 from graphslam.log.text_table import PARQUET, TEXT, table_of
 from graphslam.maps.map_files import COVARIANCE, UPPER
-from graphslam.se2 import Array, compose, transform
+from graphslam.se2 import Array, compose, mounted, transform
 
 from .options import EvaluationOptions
 from .results import Displayed
 from .results.documents import Count, jsonable
-from .results.files import NO_HEADINGS
+from .results.files import NO_HEADINGS, OTHER_POINT
 
 #: times that differ by at most this are the same [ns]: those since 1970 are rounded in other programs
 ROUNDED = 1_000
@@ -57,6 +57,7 @@ class Trajectory:
         times: (N,) in nanoseconds, increasing.
         poses: (N, 3), the heading NaN where it is not known.
         covariances: (N, 3, 3) in world axes, or None.
+        offset: the point of the robot that the positions are of, as `graphslam.Log.truth_offset`; of the truth only.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Trajectory:
     poses: Array
     covariances: Array | None = None
     notes: tuple[str, ...] = ()
+    offset: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -81,7 +83,7 @@ class Evaluated(metrics.Errors):
         missed, false: true landmarks that have no partner within the cutoff, and landmarks of the map without.
         gospa_m: see `graphslam.metrics.gospa`.
         times, errors: (N,) [s] since the first true pose, and position errors [m].
-        aligned: (N, 3) the aligned poses.
+        aligned: (N, 3) the aligned poses, of the point that the truth is of.
         aligned_map: {id: place}.
         notes: those of the reader of the files.
     """
@@ -206,8 +208,13 @@ def read_trajectory(path: Path, name: str, options: TableOptions) -> Trajectory:
     poses = timed.rows
     if poses.shape[1] == 2:
         poses = np.column_stack([poses, np.full(len(poses), np.nan)])
-    if NO_HEADINGS.encode() in first_bytes(path).splitlines():
+    head, notes = first_bytes(path), timed.notes
+    if NO_HEADINGS.encode() in head.splitlines():
         poses[poses[:, 2] == 0, 2] = np.nan
+    if f"# {OTHER_POINT}".encode() in head:
+        notes += (
+            "its positions are not those of the robot's pose; evaluate with the log as the truth knows the point",
+        )
     columns = {plain(each)[0]: k for k, each in enumerate(table.names or ())}
     covariances = None
     if "var_x" in columns and all(each in columns for each in COVARIANCE):
@@ -218,7 +225,7 @@ def read_trajectory(path: Path, name: str, options: TableOptions) -> Trajectory:
         if len(timed.times) != len(table) or np.any(np.diff(timed.times) <= 0):
             raise table.error(None, "rows with covariances must be in the order of time, and each needs a pose")
         covariances = symmetric(table.numbers([columns[each] for each in COVARIANCE]), UPPER)
-    return Trajectory(name, timed.times, poses, covariances, timed.notes)
+    return Trajectory(name, timed.times, poses, covariances, notes)
 
 
 def _by_clock(found: Trajectory, options: TableOptions) -> Trajectory:
@@ -285,7 +292,7 @@ def _truth(path: Path, options: TableOptions) -> tuple[Trajectory, Mapping[int, 
         raise LogError(f"{path}: the log has no true poses with times")
     known = log.covered
     times = np.round(log.times[known] * 1e9).astype(np.int64)
-    found = Trajectory(path.stem, times, log.true_poses[known], notes=log.notes)
+    found = Trajectory(path.stem, times, log.true_poses[known], notes=log.notes, offset=log.truth_offset)
     return _by_clock(found, options), log.true_landmarks
 
 
@@ -318,12 +325,20 @@ def _evaluated(
             f"{estimate.name}: {np.count_nonzero(known)} of {len(known)} poses are at a time at which the truth is known; "
             f"the truth goes from {spans[0]}, the estimate from {spans[1]}. {remedy}"
         )
-    poses, at = estimate.poses[known], right[known]
+    # errors are those of the point that the truth is of
+    at_point = mounted(estimate.poses, truth.offset)
+    if not np.isfinite(at_point[known, :2]).all():
+        raise LogError(
+            f"{estimate.name}: it has no headings, and {truth.name} is the truth of a point off the robot's pose, whose "
+            "place depends on them"
+        )
+    poses, at = at_point[known], right[known]
     placement = metrics.align(at, poses)
     errors = metrics.position_errors(at, poses)
     nees, covariances = None, None if estimate.covariances is None else estimate.covariances[known]
     if covariances is not None and known[0] and np.isfinite([at[0], poses[0]]).all():
-        nees = metrics.mean_nees(at, poses, covariances, relative=not covariances[0].any())
+        robot = mounted(at, (-truth.offset[0], -truth.offset[1]))
+        nees = metrics.mean_nees(robot, estimate.poses[known], covariances, relative=not covariances[0].any())
     on_map: dict[str, Any] = {}
     notes, named = estimate.notes, dict[int, Array]()
     if places is not None and true_map is not None:
@@ -339,14 +354,14 @@ def _evaluated(
                 "the map has no id of the true map, so that its error is not known; --match place finds pairs by place",
             )
     # poses without truth stay in their places, so that no motion leads across them
-    found = metrics.evaluate(right, true_map, estimate.poses, named)
+    found = metrics.evaluate(right, true_map, at_point, named)
     measured = {name: getattr(found, name) for name in metrics.METRICS}
     if not np.isfinite(poses[:, 2]).all():
         measured |= {"rpe_m": None, "rpe_rad": None, "heading_rad": None}
     return Evaluated(
         name=estimate.name, poses=len(known), compared=int(np.count_nonzero(known)), most_m=float(errors.max()),
         nees=nees, times=(estimate.times[known] - truth.times[0]) / 1e9, errors=errors,
-        aligned=compose(placement, estimate.poses), notes=notes, **measured, **on_map,
+        aligned=compose(placement, at_point), notes=notes, **measured, **on_map,
     )  # fmt: skip
 
 

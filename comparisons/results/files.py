@@ -214,6 +214,8 @@ def time_axis(log: Log) -> str:
 
 #: the comment of a trajectory whose headings are unknown, which this format cannot hold; `evaluate` looks for it
 NO_HEADINGS = "# headings are unknown and written as 0"
+#: how the comment begins of a ground truth that is of another point than the robot's pose
+OTHER_POINT = "positions of the point "
 
 
 def tum_text(times: Array, poses: Array, note: str = "") -> str:
@@ -253,7 +255,7 @@ def texts(comparison: Comparison) -> Iterator[tuple[str, Callable[[], str]]]:
 
     They are NAME.tum (of joined logs NAME-1.tum, NAME-2.tum, ...) and NAME-map.csv of each estimator, NAME-sightings.csv of
     those that gave sightings ids themselves, and those of the ground truth. truth.tum has the poses at which errors are
-    measured, so that other programs find the same errors.
+    measured, so that other programs find the same errors; a comment says where they are of another point of the robot.
     """
     log = comparison.log
     times, between = times_of(log), control_path(log, comparison.options.motion, interval=INTERVAL)
