@@ -290,6 +290,9 @@ def _truth(path: Path, options: TableOptions) -> tuple[Trajectory, Mapping[int, 
     log = load(path)
     if log.true_poses is None or log.times is None:
         raise LogError(f"{path}: the log has no true poses with times")
+    if log.sessions:
+        own = "it was joined from several logs, and the trajectories of each have its own clock"
+        raise LogError(f"{path}: {own}: take truth-1.tum, truth-2.tum, ... as the truth, which run writes beside them")
     known = log.covered
     times = np.round(log.times[known] * 1e9).astype(np.int64)
     found = Trajectory(path.stem, times, log.true_poses[known], notes=log.notes, offset=log.truth_offset)

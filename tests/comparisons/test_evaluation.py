@@ -12,7 +12,18 @@ from typer.testing import CliRunner
 import comparisons
 from comparisons.cli import make_app
 from comparisons.results.files import tum_text
-from graphslam import FormatError, LandmarkMap, LogError, OptionError, load, metrics, sample_log_path, save, simulate
+from graphslam import (
+    FormatError,
+    LandmarkMap,
+    LogError,
+    OptionError,
+    join_logs,
+    load,
+    metrics,
+    sample_log_path,
+    save,
+    simulate,
+)
 from graphslam.maps.map_files import COVARIANCE, UPPER
 from graphslam.se2 import compose
 
@@ -182,6 +193,19 @@ def test_what_run_writes_has_the_errors_of_its_table(tmp_path: Path) -> None:
         assert found.ate_m == pytest.approx(row.ate_m, abs=1e-6)
         assert found.rpe_m == pytest.approx(row.rpe_m, abs=1e-6)
         assert found.landmark_rmse_m == pytest.approx(row.landmark_rmse_m, abs=1e-6)
+
+
+def test_a_joined_log_is_no_truth_for_the_clocks_of_each(tmp_path: Path) -> None:
+    log = simulate(seed=11, steps=90, clean=True)
+    parts = [log.at_steps(np.arange(45)), log.at_steps(np.arange(45, 91)).replace(start_time=0.0)]
+    comparison = comparisons.run(join_logs(parts).log, estimators=["graph"], noise="book")
+    comparison.save(tmp_path, figures=())
+    save(comparison.log, tmp_path / "joined.npz")
+    # at the times of the second the joined log has the poses of the first
+    with pytest.raises(LogError, match=r"joined from several logs, .* take truth-1\.tum, truth-2\.tum"):
+        comparisons.evaluate(tmp_path / "joined.npz", tmp_path / "graph-2.tum")
+    found = comparisons.evaluate(tmp_path / "truth-2.tum", tmp_path / "graph-2.tum").estimates[0]
+    assert found.compared == found.poses == 46 and found.ate_m < 0.5
 
 
 def test_unknown_headings_that_run_writes_as_zero_stay_unknown(tmp_path: Path) -> None:
