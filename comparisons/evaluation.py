@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -21,7 +21,7 @@ import numpy as np
 
 from graphslam import FormatError, LandmarkMap, LogError, OptionError, load, metrics
 from graphslam.errors import named
-from graphslam.files import check_file, path_of, read_archive
+from graphslam.files import check_file, first_bytes, path_of, read_archive
 from graphslam.io.bag_messages import POSES, Poses
 from graphslam.io.bag_topics import SUFFIXES, is_bag, open_bag
 from graphslam.log.drive import truth_of
@@ -31,10 +31,11 @@ from graphslam.log.streams import poses_at
 from graphslam.log.table import plain
 from graphslam.log.text_table import PARQUET, TEXT, table_of
 from graphslam.maps.map_files import COVARIANCE, UPPER
-from graphslam.se2 import Array, compose, transform
+from graphslam.se2 import Array, compose, mounted, transform
 
 from .options import EvaluationOptions
 from .results import Count, Displayed, jsonable
+from .results.files import NO_HEADINGS, OTHER_POINT
 
 #: times that differ by at most this are the same [ns]: those since 1970 are rounded in other programs
 ROUNDED = 1_000
@@ -55,6 +56,7 @@ class Trajectory:
         times: (N,) in nanoseconds, increasing.
         poses: (N, 3), the heading NaN where it is not known.
         covariances: (N, 3, 3) in world axes, or None.
+        offset: the point of the robot that the positions are of, as `graphslam.Log.truth_offset`; of the truth only.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Trajectory:
     poses: Array
     covariances: Array | None = None
     notes: tuple[str, ...] = ()
+    offset: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -79,7 +82,7 @@ class Evaluated(metrics.Errors):
         missed, false: true landmarks that have no partner within the cutoff, and landmarks of the map without.
         gospa_m: see `graphslam.metrics.gospa`.
         times, errors: (N,) [s] since the first true pose, and position errors [m].
-        aligned: (N, 3) the aligned poses.
+        aligned: (N, 3) the aligned poses, of the point that the truth is of.
         aligned_map: {id: place}.
         notes: those of the reader of the files.
     """
@@ -182,17 +185,17 @@ def evaluate(truth: str | PathLike[str], *estimates: str | PathLike[str], **opti
 
 
 def read_trajectory(path: Path, name: str, options: TableOptions) -> Trajectory:
-    """The trajectory of a table.
+    """The trajectory of a table, a bag or an archive; of the ``options``, these two have the clock alone.
 
     Raises:
         LogError: it has no times or poses; with the line and the likely cause.
     """
     bag, topic = _bag_of(path)
     if bag is not None:
-        return _of_topic(bag, topic, name)
+        return _by_clock(_of_topic(bag, topic, name), options)
     if path.suffix.lower() == ".npz":
         check_file(path)
-        return _of_archive(path, name)
+        return _by_clock(_of_archive(path, name), options)
     if path.suffix.lower() not in (*TEXT, *PARQUET):
         raise LogError(
             f"{path}: a trajectory is a table ({', '.join((*TEXT, *PARQUET))}) with columns t, x, y and theta, a topic of a "
@@ -203,6 +206,13 @@ def read_trajectory(path: Path, name: str, options: TableOptions) -> Trajectory:
     poses = timed.rows
     if poses.shape[1] == 2:
         poses = np.column_stack([poses, np.full(len(poses), np.nan)])
+    head, notes = first_bytes(path), timed.notes
+    if NO_HEADINGS.encode() in head.splitlines():
+        poses[poses[:, 2] == 0, 2] = np.nan
+    if f"# {OTHER_POINT}".encode() in head:
+        notes += (
+            "its positions are not those of the robot's pose; evaluate with the log as the truth knows the point",
+        )
     columns = {plain(each)[0]: k for k, each in enumerate(table.names or ())}
     covariances = None
     if "var_x" in columns and all(each in columns for each in COVARIANCE):
@@ -212,7 +222,12 @@ def read_trajectory(path: Path, name: str, options: TableOptions) -> Trajectory:
         if len(timed.times) != len(table) or np.any(np.diff(timed.times) <= 0):
             raise table.error(None, "rows with covariances must be in the order of time, and each needs a pose")
         covariances = symmetric(table.numbers([columns[each] for each in COVARIANCE]), UPPER)
-    return Trajectory(name, timed.times, poses, covariances, timed.notes)
+    return Trajectory(name, timed.times, poses, covariances, notes)
+
+
+def _by_clock(found: Trajectory, options: TableOptions) -> Trajectory:
+    """A trajectory with the seconds that the options add to its times."""
+    return replace(found, times=found.times + options.clock("truth"))
 
 
 def _bag_of(path: Path) -> tuple[Path | None, str]:
@@ -267,13 +282,17 @@ def _truth(path: Path, options: TableOptions) -> tuple[Trajectory, Mapping[int, 
     if path.suffix.lower() in (*TEXT, *PARQUET) or (_bag_of(path)[1] and _bag_of(path)[0] != path):
         return read_trajectory(path, path.stem, options), None
     if path.suffix.lower() == ".npz" and path.is_file() and "poses" in read_archive(path, "a trajectory"):
-        return _of_archive(path, path.stem), None
+        return _by_clock(_of_archive(path, path.stem), options), None
     log = load(path)
     if log.true_poses is None or log.times is None:
         raise LogError(f"{path}: the log has no true poses with times")
+    if log.sessions:
+        own = "it was joined from several logs, and the trajectories of each have its own clock"
+        raise LogError(f"{path}: {own}: take truth-1.tum, truth-2.tum, ... as the truth, which run writes beside them")
     known = log.covered
     times = np.round(log.times[known] * 1e9).astype(np.int64)
-    return Trajectory(path.stem, times, log.true_poses[known], notes=log.notes), log.true_landmarks
+    found = Trajectory(path.stem, times, log.true_poses[known], notes=log.notes, offset=log.truth_offset)
+    return _by_clock(found, options), log.true_landmarks
 
 
 def _table_options(options: EvaluationOptions, table: str) -> TableOptions:
@@ -305,12 +324,20 @@ def _evaluated(
             f"{estimate.name}: {np.count_nonzero(known)} of {len(known)} poses are at a time at which the truth is known; "
             f"the truth goes from {spans[0]}, the estimate from {spans[1]}. {remedy}"
         )
-    poses, at = estimate.poses[known], right[known]
+    # errors are those of the point that the truth is of
+    at_point = mounted(estimate.poses, truth.offset)
+    if not np.isfinite(at_point[known, :2]).all():
+        raise LogError(
+            f"{estimate.name}: it has no headings, and {truth.name} is the truth of a point off the robot's pose, whose "
+            "place depends on them"
+        )
+    poses, at = at_point[known], right[known]
     placement = metrics.align(at, poses)
     errors = metrics.position_errors(at, poses)
     nees, covariances = None, None if estimate.covariances is None else estimate.covariances[known]
     if covariances is not None and known[0] and np.isfinite([at[0], poses[0]]).all():
-        nees = metrics.mean_nees(at, poses, covariances, relative=not covariances[0].any())
+        robot = mounted(at, (-truth.offset[0], -truth.offset[1]))
+        nees = metrics.mean_nees(robot, estimate.poses[known], covariances, relative=not covariances[0].any())
     on_map: dict[str, Any] = {}
     notes, named = estimate.notes, dict[int, Array]()
     if places is not None and true_map is not None:
@@ -325,14 +352,15 @@ def _evaluated(
             notes += (
                 "the map has no id of the true map, so that its error is not known; --match place finds pairs by place",
             )
-    found = metrics.evaluate(at, true_map, poses, named)
+    # poses without truth stay in their places, so that no motion leads across them
+    found = metrics.evaluate(right, true_map, at_point, named)
     measured = {name: getattr(found, name) for name in metrics.METRICS}
     if not np.isfinite(poses[:, 2]).all():
         measured |= {"rpe_m": None, "rpe_rad": None, "heading_rad": None}
     return Evaluated(
         name=estimate.name, poses=len(known), compared=int(np.count_nonzero(known)), most_m=float(errors.max()),
         nees=nees, times=(estimate.times[known] - truth.times[0]) / 1e9, errors=errors,
-        aligned=compose(placement, estimate.poses), notes=notes, **measured, **on_map,
+        aligned=compose(placement, at_point), notes=notes, **measured, **on_map,
     )  # fmt: skip
 
 

@@ -322,6 +322,8 @@ class ParticleGibbs:
             FastSLAM2(plain, seed=s, threads=threads, motion=motion, sensor=sensor, start=start, particles=STARTS)
             for s in self._seeds[::2]
         ]
+        # where its noise is estimated, biases are taken out of it
+        log = self._filters[0].log or log
         if log.num_poses < 2:
             raise LogError(f"{log.name} has no motion to smooth")
         if len(log.steps) == 0:

@@ -99,7 +99,8 @@ def align(truth: ArrayLike, estimate: ArrayLike, *, mask: ArrayLike | None = Non
     truth, estimate, mask = _checked(truth, estimate, mask)
     q, p = truth[mask, :2], estimate[mask, :2]
     q_mean, p_mean = q.mean(axis=0), p.mean(axis=0)
-    q, p = q - q_mean, p - p_mean
+    # the mean of equal numbers is rounded, and differences from it would be a direction
+    q, p = (np.where(np.ptp(each, axis=0) > 0, each - mean, 0.0) for each, mean in ((q, q_mean), (p, p_mean)))
     theta = np.arctan2(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]), np.sum(p * q))
     return np.array([*(q_mean - transform(np.array([0.0, 0.0, theta]), p_mean)), theta])
 

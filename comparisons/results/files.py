@@ -210,12 +210,18 @@ def time_axis(log: Log) -> str:
     return "step" if log.dt is None else "time since the first pose [s]"
 
 
+#: the comment of a trajectory whose headings are unknown, which this format cannot hold; `evaluate` looks for it
+NO_HEADINGS = "# headings are unknown and written as 0"
+#: how the comment begins of a ground truth that is of another point than the robot's pose
+OTHER_POINT = "positions of the point "
+
+
 def tum_text(times: Array, poses: Array, note: str = "") -> str:
     """Poses (n, 3) at times (n,) as TUM text. An unknown heading (NaN) is written as 0, and said at the top, as is a note."""
     heading = wrap(poses[:, 2])
     lines = ["# timestamp x y z qx qy qz qw", *[f"# {note}"] * bool(note)]
     if np.isnan(heading).any():
-        lines.append("# headings are unknown and written as 0")
+        lines.append(NO_HEADINGS)
         heading = np.nan_to_num(heading, nan=0.0)
     rows = np.column_stack([times, poses[:, :2], np.zeros((len(poses), 3)), np.sin(heading / 2), np.cos(heading / 2)])
     return "\n".join([*lines, *(" ".join(map(repr, row)) for row in rows.tolist())]) + "\n"
@@ -246,7 +252,7 @@ def texts(comparison: Comparison) -> Iterator[tuple[str, Callable[[], str]]]:
 
     They are NAME.tum (of joined logs NAME-1.tum, NAME-2.tum, ...) and NAME-map.csv of each estimator, NAME-sightings.csv of
     those that gave sightings ids themselves, and those of the ground truth. truth.tum has the poses at which errors are
-    measured, so that other programs find the same errors.
+    measured, so that other programs find the same errors; a comment says where they are of another point of the robot.
     """
     log = comparison.log
     times, between = times_of(log), control_path(log, comparison.options.motion, interval=INTERVAL)

@@ -126,6 +126,14 @@ class ParticleFilter(ABC):
                 raise OptionError(f"{log.name} has sightings without ids, {self._HOW_WITHOUT_IDS}")
             used = {"partial_sightings": self._takes_single_numbers, "positions": self._takes_positions}
             log.warn_of_unused("a particle filter", [name for name, is_used in used.items() if is_used])
+            if (
+                log.partial_sightings is not None
+                and self._takes_single_numbers
+                and log.has_orientation
+                and len(log.steps)
+            ):
+                what = f"{log.name} has sightings with psi beside ranges or bearings alone"
+                raise OptionError(f"{what}, which have none: take log.without_orientation()")
             check_memory(log, self.options, maps=self.HAS_MAPS)
             if motion is None and sensor is None:
                 # for logs with ids the same choice as that of `Graph.from_log`
@@ -291,7 +299,8 @@ class ParticleFilter(ABC):
             if single is not None and t in alone:
                 now = single.among(single.steps == t)
                 ids = np.append(ids, now.landmarks)
-                sightings = np.concatenate([sightings, np.column_stack([now.ranges, now.bearings])])
+                # a log without whole sightings has room for psi in none of its rows
+                sightings = np.concatenate([sightings[:, :2], np.column_stack([now.ranges, now.bearings])])
             weighed = len(ids) > 0 and self._observe(ids, sightings, rows)
             if positions is not None and t in located:
                 weighed |= self._locate(positions.among(positions.steps == t))

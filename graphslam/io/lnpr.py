@@ -163,6 +163,10 @@ def _write(log: Log, path: Path) -> None:
         or log.sensor not in (None, SensorModel()),
         "a start time": log.start_time != 0,
         "two sightings of one landmark in one step": len(np.unique(pairs, axis=0)) < len(pairs),
+        "the classes of sightings": log.classes is not None,
+        **{name.replace("_", " "): True for name in log.measured},
+        "several sessions": len(log.sessions) > 0,
+        "biases that were taken out": bool(log.uncertain),
     }
     for what, present in obstacles.items():
         if present:

@@ -16,7 +16,7 @@ from ..errors import LogError, named
 from ..errors.checks import FARTHEST, FASTEST, FOUR_TURNS, LONGEST, QUICKEST, WHOLE_TURN, checked_offset, first
 from ..se2 import Array, wrap
 from . import cells
-from .geometry import WHEELS, chosen_axes, controls_of, motion_of, polar
+from .geometry import WHEELS, chosen_axes, controls_of, motion_of, polar, seen_from
 from .rows import (
     AXES,
     MOST_LEFT_OUT,
@@ -430,8 +430,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
             message = "a range or a bearing alone from the robot's centre says nothing about the sensor at its offset"
             advice = "give it as the sensor measured it, with centre='sensor'"
             raise table.error(int(alone_at[0]), f"{message}: {advice}")
-        from_centre = rows[:, :1] * np.column_stack([np.cos(rows[:, 1]), np.sin(rows[:, 1])])
-        rows[:, :2] = polar(from_centre - checked_offset("sensor_offset", options.sensor_offset))
+        rows = seen_from(checked_offset("sensor_offset", options.sensor_offset), rows)
     ns, order, more = ordered(reader.table, ns)
     ids, rows = found.numbers[order], rows[order]
     rows[:, 1:] = wrap(rows[:, 1:])
@@ -465,14 +464,15 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
     table = reader.leave_out()
     ns, rows = reader.times(), reader.poses(finite=False)
     known = np.asarray(np.isfinite(rows).all(axis=1))
-    notes: tuple[str, ...] = ()
-    if not known.all():
-        notes = (f"{table.source}: {np.sum(~known)} of {len(known)} rows have no pose and are left out",)
+    if not known.any():
+        raise table.error(None, "no row has all numbers of a pose; leave out an empty column, or the ground truth")
+    few = f"{table.source}: {np.sum(~known)} of {len(known)} rows have no pose and are left out"
+    notes = (few,) * (not known.all())
     if rows.shape[1] == 3 and not reader.has("qz") and not cells.counts_turns(rows[known]):
         reader.refuse("theta", rows[:, 2], FOUR_TURNS, TURNED)
     rows[:, 2:] = wrap(rows[:, 2:])
     kept = np.flatnonzero(known)
     ns, order, more = ordered(reader.table, ns[kept], kept)
     rows = rows[kept][order]
-    few, doubts = cells.repeated_times("truth", table, ns, rows, kept[order])
-    return Timed(table, ns, rows, reader.described(), notes=(*notes, *more, *few), doubts=doubts)
+    again, doubts = cells.repeated_times("truth", table, ns, rows, kept[order])
+    return Timed(table, ns, rows, reader.described(), notes=(*notes, *more, *again), doubts=doubts)

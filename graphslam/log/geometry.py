@@ -133,6 +133,13 @@ def polar(places: Array) -> Array:
     return np.column_stack([np.hypot(forward, left), np.arctan2(left, forward)])
 
 
+def seen_from(place: tuple[float, float], sightings: Array) -> Array:
+    """Sightings (N, 2 or 3) from the origin of the robot's axes, as from a place in them; psi turns with the bearing."""
+    r, phi = sightings[:, :2].T
+    seen = polar(np.column_stack([r * np.cos(phi), r * np.sin(phi)]) - place)
+    return np.column_stack([seen, sightings[:, 2:] + (seen[:, 1] - phi)[:, None]])
+
+
 def chosen_axes(
     table: Table, found: Mapping[str, Chosen], stated: str | None
 ) -> tuple[str, tuple[str, ...], tuple[Doubt, ...]]:

@@ -417,7 +417,12 @@ class Log:
             if left_out := len(measured) - len(changes[name]):
                 note = f"{left_out:,} of {len(measured):,} {name.replace('_', ' ')} are left out with their poses"
                 changes["notes"] = (*changes.get("notes", self.notes), note)
-        moved = [replace(each, start=int(np.searchsorted(kept, each.start))) for each in self.sessions]
+        since = np.zeros(self.num_poses) if times is None else self.control_times[self.control_starts]
+        moved = list[measurements.Session]()
+        for each in self.sessions:
+            start = int(np.searchsorted(kept, each.start))
+            later = float(since[kept[min(start, len(kept) - 1)]] - since[each.start])
+            moved.append(replace(each, start=start, start_time=each.start_time + later))
         # a session of which no pose is left ends where it starts
         ends = [*(each.start for each in moved[1:]), len(kept)]
         changes["sessions"] = tuple(each for each, end in zip(moved, ends) if each.start < end)

@@ -248,6 +248,11 @@ def _placed(log: Log, before: Log, known: LandmarkMap, models: dict[str, Any]) -
         if len(set(names)) < len(names):
             names = [f"{name} ({number})" for number, name in enumerate(names, start=1)]
         which = f"{names[-1]} and {named(names[:-1])} share no landmark"
+        if log.partial_sightings is not None or before.partial_sightings is not None:
+            which += " that both have seen with range and bearing"
+            raise GraphError(
+                f"{which}, which put a log where it belongs: give poses of one frame, and join with placed=True"
+            )
         raise GraphError(f"{which}: do the ids mean the same ones in all of them?")
     fix = first_fix(log, known, **models)
     notes = (*log.notes, f"joined where {fix.sentence}")

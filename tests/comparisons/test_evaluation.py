@@ -12,7 +12,18 @@ from typer.testing import CliRunner
 import comparisons
 from comparisons.cli import make_app
 from comparisons.results.files import tum_text
-from graphslam import FormatError, LandmarkMap, LogError, OptionError, load, metrics, sample_log_path, save, simulate
+from graphslam import (
+    FormatError,
+    LandmarkMap,
+    LogError,
+    OptionError,
+    join_logs,
+    load,
+    metrics,
+    sample_log_path,
+    save,
+    simulate,
+)
 from graphslam.maps.map_files import COVARIANCE, UPPER
 from graphslam.se2 import compose
 
@@ -69,6 +80,17 @@ def test_the_truth_is_taken_at_the_times_of_the_estimate(truth: Path, tmp_path: 
         LogError, match="0 of 260 poses are at a time at which the truth is known; the truth goes from 100"
     ):
         comparisons.evaluate(rare, tmp_path / "mine.csv")
+
+
+def test_no_motion_leads_across_a_gap_in_the_truth(tmp_path: Path) -> None:
+    """Every step is 10 % too long, so that one across the gap would be off by ten times as much as the others."""
+    known = (TIMES < 108) | (TIMES > 109.05)
+    gap = tmp_path / "gap.tum"
+    gap.write_text(tum_text(TIMES[known], TRUE[known]))
+    found = comparisons.evaluate(gap, written(tmp_path / "mine.csv", TIMES, TRUE * [1.1, 1.1, 1.0])).estimates[0]
+    assert found.compared == np.count_nonzero(known) < 200
+    step = 20 * np.sin(np.pi / 20 * 0.05)
+    assert found.rpe_m == pytest.approx(0.1 * step, rel=1e-6)
 
 
 @pytest.mark.parametrize("held", [True, False])
@@ -173,6 +195,30 @@ def test_what_run_writes_has_the_errors_of_its_table(tmp_path: Path) -> None:
         assert found.landmark_rmse_m == pytest.approx(row.landmark_rmse_m, abs=1e-6)
 
 
+def test_a_joined_log_is_no_truth_for_the_clocks_of_each(tmp_path: Path) -> None:
+    log = simulate(seed=11, steps=90, clean=True)
+    parts = [log.at_steps(np.arange(45)), log.at_steps(np.arange(45, 91)).replace(start_time=0.0)]
+    comparison = comparisons.run(join_logs(parts).log, estimators=["graph"], noise="book")
+    comparison.save(tmp_path, figures=())
+    save(comparison.log, tmp_path / "joined.npz")
+    # at the times of the second the joined log has the poses of the first
+    with pytest.raises(LogError, match=r"joined from several logs, .* take truth-1\.tum, truth-2\.tum"):
+        comparisons.evaluate(tmp_path / "joined.npz", tmp_path / "graph-2.tum")
+    found = comparisons.evaluate(tmp_path / "truth-2.tum", tmp_path / "graph-2.tum").estimates[0]
+    assert found.compared == found.poses == 46 and found.ate_m < 0.5
+
+
+def test_unknown_headings_that_run_writes_as_zero_stay_unknown(tmp_path: Path) -> None:
+    log = simulate(seed=1, steps=60)
+    assert log.true_poses is not None
+    log = log.replace(true_poses=log.true_poses * [1, 1, np.nan])
+    comparison = comparisons.run(log, estimators=["graph"], noise="book")
+    comparison.save(tmp_path, figures=())
+    found = comparisons.evaluate(tmp_path / "truth.tum", tmp_path / "graph.tum").estimates[0]
+    assert found.ate_m == pytest.approx(comparison.table["graph"].ate_m, abs=1e-6)
+    assert (found.rpe_m, found.rpe_rad, found.heading_rad) == (None, None, None)
+
+
 def test_the_verb_writes_table_json_and_figure(truth: Path, tmp_path: Path) -> None:
     mine = written(tmp_path / "mine.csv", TIMES, TRUE + [0.1, 0.0, 0.0] * np.sin(TIMES)[:, None])
     flat = tmp_path / "flat.csv"
@@ -248,6 +294,12 @@ def test_tables_archives_and_bags_of_one_estimate_have_the_same_errors(truth: Pa
         assert each.nees == pytest.approx(found[0].nees, rel=1e-6)
     assert found[0].nees == pytest.approx(1.0, abs=4 * np.sqrt(2 / (3 * len(TIMES))))
     assert comparisons.evaluate(bag, table).estimates[0].ate_m == pytest.approx(0.0, abs=1e-6)
+    # clocks hold for all kinds, of the truth as of estimates
+    late = comparisons.evaluate(truth, table, tmp_path / "mine.npz", bag, clocks="estimates=2").estimates
+    assert [each.compared for each in late] == [180, 180, 180]
+    for right in (table, tmp_path / "mine.npz", bag):
+        shifted = comparisons.evaluate(right, table, clocks="truth=2,estimates=2").estimates[0]
+        assert shifted.compared == 200 and shifted.ate_m == pytest.approx(0.0, abs=1e-6)
     with pytest.raises(
         FormatError, match=r"several topics have poses: it has /mine, /other/pose; name one, as in mine:/mine"
     ):

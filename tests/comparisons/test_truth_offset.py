@@ -9,7 +9,7 @@ import pytest
 
 import comparisons
 from comparisons.show.canvas import placed, placement_of
-from graphslam import Log, OptionError, Stream, calibrate, load, save, simulate, synchronize
+from graphslam import Log, LogError, OptionError, Stream, calibrate, load, save, simulate, synchronize
 from graphslam.metrics import ate, evaluate
 from graphslam.se2 import compose, mounted
 
@@ -98,3 +98,33 @@ def test_what_is_no_place_on_the_robot(log, wrong):
     with pytest.raises(OptionError, match=r"truth_offset must be \(ahead, to the left\)"):
         log.replace(truth_offset=wrong)
     assert log.replace(truth_offset=2).truth_offset == (2.0, 0.0)
+
+
+def test_evaluate_finds_the_errors_of_run(with_antenna, tmp_path):
+    save(with_antenna, tmp_path / "log.npz")
+    comparison = comparisons.run(with_antenna, estimators=["graph"])
+    comparison.save(tmp_path / "out", figures=())
+    row = comparison.table["graph"]
+    found = comparisons.evaluate(tmp_path / "log.npz", tmp_path / "out" / "graph.tum")
+    for name in ("ate_m", "rpe_m", "rpe_rad", "heading_rad"):
+        assert getattr(found.estimates[0], name) == pytest.approx(getattr(row, name), abs=1e-6)
+    assert not found.notes
+    # a trajectory alone has no such point, and a note says so
+    alone = comparisons.evaluate(tmp_path / "out" / "truth.tum", tmp_path / "out" / "graph.tum")
+    assert alone.notes[0].startswith("truth: its positions are not those of the robot's pose")
+    flat = tmp_path / "flat.csv"
+    flat.write_text("t,x,y\n" + "".join(f"{t},{t},0\n" for t in with_antenna.times.tolist()))
+    with pytest.raises(LogError, match="it has no headings, and log is the truth of a point off the robot's pose"):
+        comparisons.evaluate(tmp_path / "log.npz", flat)
+
+
+def test_covariances_are_those_of_the_robot(with_antenna, log, tmp_path):
+    """The errors of poses with covariances are those of the robot itself, not of its antenna."""
+    C = np.diag([0.01, 0.02, 0.001])
+    poses = log.true_poses + np.random.default_rng(0).multivariate_normal(np.zeros(3), C, log.num_poses)
+    covariances = np.tile(C, (log.num_poses, 1, 1))
+    np.savez(tmp_path / "mine.npz", times=log.times, poses=poses, covariances=covariances)
+    for name, each in (("a", log), ("b", with_antenna)):
+        save(each, tmp_path / f"{name}.npz")
+    a, b = (comparisons.evaluate(tmp_path / f"{n}.npz", tmp_path / "mine.npz").estimates[0].nees for n in "ab")
+    assert b == pytest.approx(a)

@@ -12,6 +12,7 @@ from fastslam import GibbsOptions, GibbsResult, ParticleGibbs
 from fastslam.gibbs import LowRank, Target, judge
 from fastslam.motions import Problem
 from graphslam import Graph, Log, LogError, MotionModel, OptionError, PoseRelations, SensorModel, simulate, solve
+from graphslam.association import known_noise
 from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import wrap
 
@@ -295,6 +296,16 @@ def test_bad_logs() -> None:
         ParticleGibbs(log.replace(steps=[], landmarks=[], sightings=np.empty((0, 2))))
     with pytest.raises(OptionError, match="without ids"):
         ParticleGibbs(log.replace(landmarks=np.full(8, UNIDENTIFIED)))
+
+
+def test_biases_that_are_estimated_are_taken_out_of_what_is_sampled() -> None:
+    log = simulate(seed=3, steps=200, clean=True)
+    turned = log.sightings + np.array([0.0, 0.15, 0.0])
+    log = log.replace(sightings=turned, simulated=False, motion=None, sensor=None)
+    known, _ = known_noise(log)
+    problem = ParticleGibbs(log, chains=1)._problem
+    np.testing.assert_allclose(problem.z, known.sightings, atol=1e-12)
+    assert np.abs(problem.z - log.sightings).max() > 0.01
 
 
 def test_the_estimator_and_its_options() -> None:

@@ -62,6 +62,18 @@ def test_single_numbers_correct_dead_reckoning(number):
     assert ate(log.true_poses, found.poses) < 0.7 * off and len(found.landmarks) > 4
 
 
+@pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2, MonteCarloLocalization])
+def test_a_log_needs_no_whole_sightings(kind):
+    """A log to which none are given has room for psi in its empty array."""
+    log = simulate_single_numbers("range", seed=5, poses=100)
+    found = kind(log, particles=50, seed=0).run()
+    other = kind(log.replace(sightings=np.empty((0, 3))), particles=50, seed=0).run()
+    np.testing.assert_array_equal(found.poses, other.poses)
+    both = log.replace(steps=[0], landmarks=[1], sightings=[[1.0, 0.0, 0.0]])
+    with pytest.raises(OptionError, match="sightings with psi beside ranges or bearings alone"):
+        kind(both, particles=50)
+
+
 def test_a_landmark_with_a_mirror_image_waits():
     """Ranges from a straight way leave two places; three from a bent one leave the right one."""
     m = np.array([3.0, 2.0])

@@ -7,7 +7,20 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import comparisons
-from graphslam import FormatError, LandmarkMap, Log, MotionModel, OptionError, SensorModel, load, sample_log_path, save
+from graphslam import (
+    AbsolutePositions,
+    FormatError,
+    LandmarkMap,
+    Log,
+    MotionModel,
+    OptionError,
+    PoseRelations,
+    SensorModel,
+    load,
+    sample_log_path,
+    save,
+)
+from graphslam.log.measurements import PartialSightings, Session
 
 BOOK = "x 0 0 -3 0\nz 0 1 2.0 0.1 3.0\nx 1 0.5 -2.9 0.2\nz 1 1 1.5 -0.4 3.1\nz 1 4 3.0 0.2 -1.0\n"
 WITH_CONTROLS = (
@@ -190,6 +203,15 @@ def test_what_the_book_format_cannot_hold_is_refused_and_leaves_no_file(tmp_path
         ({"dt": [1.0, 2.0], "controls": np.ones((2, 2))}, "steps of different length"),
         ({"start_time": 5.0}, "a start time"),
         ({"landmarks": [1, 1]}, "two sightings of one landmark"),
+        ({"classes": ["cone", "tree"]}, "the classes of sightings"),
+        ({"relations": PoseRelations(first=[0], second=[2], motions=[[1, 0, 0]], covariances=np.eye(3))}, "relations"),
+        ({"positions": AbsolutePositions(steps=[0], places=[[1, 2]], covariances=np.eye(2))}, "positions"),
+        (
+            {"partial_sightings": PartialSightings(steps=[1], landmarks=[1], ranges=[2.0], bearings=[np.nan])},
+            "partial sightings",
+        ),
+        ({"sessions": (Session("first", 0, 0.0), Session("second", 2, 5.0))}, "several sessions"),
+        ({"uncertain": {"range_bias": 0.1}}, "biases that were taken out"),
     ]:
         with pytest.raises(FormatError, match=what):
             save(Log(**(base | changes)), path)

@@ -142,6 +142,9 @@ def test_rpe_needs_neighbours() -> None:
 def test_one_place_has_no_best_heading() -> None:
     truth, estimate = np.array([[1.0, 2, 0.3]] * 3), np.array([[4.0, 6, 0.5]] * 3)
     np.testing.assert_allclose(align(truth, estimate), [-3, -4, 0])
+    # the means of these are rounded
+    truth, estimate = np.array([[0.1, 0.2, 0.3]] * 3), np.array([[0.7, 0.2, 0.3]] * 3)
+    np.testing.assert_allclose(align(truth, estimate), [-0.6, 0, 0], atol=1e-15)
 
 
 def test_the_map_is_judged_in_the_frame_of_the_trajectory() -> None:

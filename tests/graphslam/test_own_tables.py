@@ -124,6 +124,15 @@ def test_the_place_of_the_sensor(drive):
     )
 
 
+def test_psi_from_the_centre_of_the_robot_turns_with_the_bearing(drive):
+    """psi = theta + phi - m_theta, so that the heading of a landmark is the same from the centre and from the sensor."""
+    tables = [drive(sightings=text("t,id,range,bearing,orientation", [(*row, 0.4) for row in SEEN])) / "odometry.csv"]
+    tables.append(tables[0].with_name("sightings.csv"))
+    log = Log.from_tables(*tables, sensor_offset=(0.7, -0.4), centre="robot")
+    headings = log.sensor.h_inverse(np.zeros((len(SEEN), 3)), log.sightings)[:, 2]
+    np.testing.assert_allclose(headings, [b - 0.4 for *_, b in SEEN], atol=1e-12)
+
+
 def test_stated_columns_units_and_clocks(drive, expected):
     rows = [(j, t * 1000 - 3000, float(np.rad2deg(-b)), r) for t, j, r, b in SEEN]
     recipe = """bearings = "clockwise"
@@ -167,6 +176,10 @@ def test_truth_and_map(drive):
     assert {j: m.tolist() for j, m in log.true_landmarks.items()} == {3: [1.0, 2.0], 4: [0.5, 0.5]}
     log = load(drive(truth=truth.replace("2.0,1.0,0.1,0.0", "2.0,nan,nan,nan")))
     assert any("1 of 201 rows have no pose" in note for note in log.notes)
+    for names, row in (("t,x,y,theta", "nan,nan,nan"), ("t,x,y", "nan,nan"), ("t,x,y,theta", "1.0,2.0,")):
+        unknown = "\n".join([names, *(f"{t},{row}" for t in T.tolist())])
+        with pytest.raises(LogError, match="no row has all numbers of a pose; leave out an empty column, or"):
+            load(drive(truth=unknown))
 
 
 def test_landmarks_with_names(drive):

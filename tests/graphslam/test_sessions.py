@@ -30,6 +30,7 @@ from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import ate
 from graphslam.se2 import between
 from graphslam.sessions import with_common_noise
+from graphslam.simulation.worlds import simulate_single_numbers
 
 QUIET = MotionModel(nn=0.05, no=0.001, on=0.03, oo=0.05)
 SENSOR = SensorModel(range_rate=0.02, bearing_std=0.01)
@@ -95,6 +96,30 @@ def test_where_the_motion_between_is_known_the_solution_is_the_uncut_one() -> No
     found = solve(graph(joined.log.replace(relations=tie)), tolerance=1e-10)
     # both from the first pose; the motion that says nothing still has a weight of 1e-6
     assert np.abs(between(found.poses[0], found.poses) - between(whole.poses[0], whole.poses)).max() < 1e-4
+
+
+def test_a_drive_whose_first_poses_are_left_out_starts_later_by_its_own_clock() -> None:
+    first, second = (part.replace(start_time=start) for part, start in zip(cut(drive(), 2), (100.0, 7000.0)))
+    joined = join_logs([first, second], placed=True).log
+    kept = np.arange(3, joined.num_poses, 4)
+    sessions = joined.at_steps(kept).sessions
+    assert first.times is not None and second.times is not None
+    own = first.times[3], second.times[kept[sessions[1].start] - first.num_poses]
+    assert [each.start_time for each in sessions] == pytest.approx(own)
+    assert own[1] > 7000.0
+    # drives of which no pose is left are none
+    (last,) = joined.at_steps(np.arange(first.num_poses + 2, joined.num_poses)).sessions
+    assert (last.start, last.start_time) == (0, pytest.approx(second.times[2]))
+
+
+def test_ranges_alone_put_no_log_where_it_belongs() -> None:
+    log = simulate_single_numbers("range", seed=5, poses=60)
+    parts = [log.at_steps(np.arange(30)), log.at_steps(np.arange(30, 60))]
+    with pytest.raises(GraphError, match=r"no landmark that both have seen with range and bearing, .* placed=True"):
+        join_logs(parts)
+    joined = join_logs(parts, placed=True).log
+    assert joined.partial_sightings is not None and log.partial_sightings is not None
+    assert joined.partial_sightings.equals(log.partial_sightings)
 
 
 def test_measurements_of_a_later_log_keep_their_poses() -> None:
