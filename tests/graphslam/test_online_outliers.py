@@ -79,14 +79,19 @@ def test_a_wrong_sighting_later_moves_nothing() -> None:
 
 
 @pytest.mark.parametrize("exact", [True, False])
-def test_landmarks_of_a_map(exact: bool) -> None:
-    """An exact one stays where it is, and one that is hardly known goes where it is seen."""
+@pytest.mark.parametrize("most_again", [0, 3000])
+def test_landmarks_of_a_map(exact: bool, most_again: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An exact one stays where it is as long as it is in the map, and one that is hardly known goes where it is seen."""
+    monkeypatch.setattr("graphslam.online.localizer.MOST_AGAIN", most_again)
     moved = {id: place[:2] for id, place in PLACES.items()} | {1: (6.0, 6.0)}
     known = LandmarkMap(moved, {} if exact else {1: 100.0 * np.eye(2)})
     start = {"start_covariance": np.diag([0.1, 0.1, 0.1]) ** 2}
     solver = drive(OnlineSolver((0, 0, 0), sensor=SENSOR, kernel="cauchy", map=known, **start), 0, 8)
-    place = (6.0, 6.0) if exact else PLACES[1][:2]
-    assert solver.landmarks[1] == pytest.approx(place, abs=1e-6 if exact else 0.15)
+    held = exact and most_again == 0
+    place = (6.0, 6.0) if held else PLACES[1][:2]
+    assert solver.landmarks[1] == pytest.approx(place, abs=1e-6 if held else 0.15)
+    # an exact one is known to have moved; in a drive that is too long to be gone through again it stays in the map
+    assert any("moved" in note for note in solver.notes) == exact
 
 
 @pytest.mark.parametrize("copied", [deepcopy, lambda solver: pickle.loads(pickle.dumps(solver))])
