@@ -3,7 +3,7 @@
     python benchmarks/unknown_robot.py [--seeds tuning|reporting|1000-1009] [--drives 20] [--jobs 2] [--misread 0.05]
                                        [--option noise=auto] [--no-ids] [--plain] [--also fastslam2] [--oracles FOLDER]
                                        [--record docs/measured] [--drive odometry|sightings|shaking|jittering|slow]
-                                       [--bearings 1.04] [--ranges tags=0.03|offset=0.4|one=0.4|reflected=0.15]
+                                       [--bearings 1.04] [--ranges tags=0.03|offset=0.4|one=0.4|reflected=0.15] [--turns 0.1]
     python benchmarks/unknown_robot.py --sizes     # time of `estimate_robot` and `solve` by the length of a drive
 
 Each seed is a `Drive.random`, or with ``--drive`` two minutes with almost perfect odometry or sightings, or a random drive
@@ -18,8 +18,9 @@ dead reckoning  the odometry alone
 A drive is silently bad where the ATE of the default is above `BAD` times that of the oracle and above `HARMLESS`, and no
 warning is given, and unexpectedly bad where it is also above `BAD` times the expected ATE, which the run states. Figures for
 `REPORTING` are published; what is tuned is tuned on `TUNING`. ``--plain`` also times the graph with the noise of the book, on
-the processor. ``--oracles FOLDER`` keeps the figures of the oracle, which takes most of the time. With ``--bearings`` and
-``--ranges`` the default gets bearings times this factor, or ranges that are off (`RANGES`), the oracle the right ones.
+the processor. ``--oracles FOLDER`` keeps the figures of the oracle, which takes most of the time. With ``--bearings``,
+``--ranges`` and ``--turns`` the default gets bearings times this factor, ranges that are off (`RANGES`), or left turns that
+are recorded larger than right ones by this part, the oracle the right ones.
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ from comparisons.estimators import warm_up
 from comparisons.results import EstimatorResult
 from graphslam import Graph, GraphError, Log, SensorModel, SlamError, Solution, estimate_robot, solve
 from graphslam.identification.corrections import honest_variances
+from graphslam.identification.slips import Uneven, levelled
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import ate
 from graphslam.models import MotionModel
@@ -110,12 +112,7 @@ def _tags(size: float, landmarks: np.ndarray, rng: np.random.Generator) -> Array
 
 
 def off_ranges(log: Log, truth: DriveTruth, kind: str, size: float) -> Log:
-    """The log with ranges that are off, by the true landmarks; clutter stays as it is.
-
-    Args:
-        kind: of `RANGES`.
-        size: how large the error is [part or m].
-    """
+    """The log with ranges that are off by ``size`` [part or m], by the true landmarks; clutter stays as it is."""
     real, rng = truth.landmarks != UNIDENTIFIED, np.random.default_rng([truth.landmarks.size, 3])
     seen, ranges = truth.landmarks[real], log.sightings[real, 0]
     off = np.zeros(seen.max() + 1)
@@ -133,8 +130,7 @@ def off_ranges(log: Log, truth: DriveTruth, kind: str, size: float) -> Log:
     return log.replace(sightings=sightings)
 
 
-#: ranges that are off: by a scale of each landmark, by a length for a fifth of the landmarks, by a length for one of those
-#: that are seen often, and for this part of all ranges by lengths with a mean of half a metre
+#: ranges that are off: by scales of landmarks, by a length for a fifth of them or for one, or for this part of all ranges
 RANGES = ("tags", "offset", "one", "reflected")
 
 
@@ -296,6 +292,7 @@ def row(
     oracles: Path | None = None,
     bearings: float = 1.0,
     ranges: tuple[str, float] | None = None,
+    turns: float = 0.0,
     kind: str = "random",
 ) -> Row:
     """All ways on one drive of `DRIVES`; ``misread`` replaces the part of the ids that are misread."""
@@ -319,7 +316,7 @@ def row(
                 kept.write_text(json.dumps(best), encoding="utf-8")
         try:
             figures["plain"] = plain_seconds(log) if plain else None
-            given = log if ranges is None else off_ranges(log, truth, *ranges)
+            given = levelled(log if ranges is None else off_ranges(log, truth, *ranges), [Uneven(1, -turns, 0.0)])
             outcome = run(given.replace(sightings=given.sightings * [1.0, bearings, 1.0][: given.sightings.shape[1]]))
             figures |= {
                 "default": ate(log.true_poses, outcome.poses), "nees": outcome.nees, "found": outcome.misread,
@@ -458,6 +455,7 @@ def main() -> None:
     parser.add_argument(
         "--ranges", type=value_of, metavar="KIND=SIZE", help=f"ranges that are off: {', '.join(RANGES)}"
     )
+    parser.add_argument("--turns", type=float, default=0.0, help="the part by which left turns are recorded larger")
     parser.add_argument("--no-ids", action="store_true", help="take the ids from all sightings; the oracle keeps them")
     parser.add_argument("--plain", action="store_true", help="time the graph with the noise of the book, too")
     parser.add_argument("--oracles", type=Path, help="a folder that keeps the figures of the oracle")
@@ -472,7 +470,7 @@ def main() -> None:
     task = partial(
         row, misread=arguments.misread, run=partial(default_run, without_ids=arguments.no_ids, **options),
         plain=arguments.plain, oracles=arguments.oracles, kind=arguments.drive, bearings=arguments.bearings,
-        ranges=arguments.ranges,
+        ranges=arguments.ranges, turns=arguments.turns,
     )  # fmt: skip
     rows = []
     print(HEAD)
