@@ -215,6 +215,8 @@ def association_film(log: Log, options: RunOptions, animation: AnimationOptions,
     Raises:
         SlamError: no ids are found, or the log does not determine the graph.
     """
+    if len(log.steps) == 0:
+        raise GraphError(f"{log.name} has no sightings of range and bearing, so there is nothing to associate")
     result = ESTIMATORS["graph"].run(log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED)), options)
     assert result.association is not None and result.found is not None
     status, sensor = status_of(result), options.sensor or log.sensor or SensorModel()
