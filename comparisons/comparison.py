@@ -399,7 +399,7 @@ def run(
     Raises:
         FormatError: a file cannot be read.
         OptionError: an option or estimator is unknown or impossible.
-        GraphError: the log has no sightings.
+        GraphError: the log has no sightings, relations or positions.
         SlamError: no estimator has a result; the error is that of the first one that was tried.
     """
     return compare(log, RunOptions.of(**options), estimators=estimators, time_limit=time_limit, progress=progress)
@@ -413,7 +413,7 @@ def compare(
     names = None if estimators is None else check_estimators(estimators)
     time_limit = LimitOptions.of(time_limit=time_limit).time_limit
     data, source, options = prepare(log, options, together=True)
-    if len(data.steps) == 0 and data.partial_sightings is None:
+    if len(data.steps) == 0 and not data.measured:
         farthest = options.max_range
         within = "" if farthest is None else f" within max_range ({farthest:g} m)"
         raise GraphError(f"{data.name} has no sightings at all{within}, so there is nothing to estimate from")

@@ -356,6 +356,8 @@ def study(
         output.hint(f"Wrote {options.summary}.")
     if rows:
         output.draw(summary, options.figure, metric=options.metric)
+    elif options.figure is not None:
+        output.say("There is no figure: the study has no executed run.")
     output.json(summary.to_json())
     if missing := summary.planned - summary.done:
         output.hint(f"To execute the other {missing} runs: {command('sweep', summary.study)}")

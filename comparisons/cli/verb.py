@@ -67,10 +67,7 @@ def add_verb(app: typer.Typer, function: Callable[..., None], kind: type[TyperCo
         with sentences(verbose, options, lang):
             values = _without_outranked(ctx, values, options)
             if config is not None:
-                _check_logs(ctx, [values.get("log"), *(values.get("others") or ())])
-                if "log" in ctx.meta[_META] and len(values.get("words") or ()) == 1:
-                    # of the words [LOG] OUT
-                    values["words"] = [str(ctx.meta[_META]["log"]), *values["words"]]
+                values = _with_logs(ctx, values)
             output = Output(values.pop("json"), quiet=quiet, verbose=verbose, lang=lang, options=options)
             for name, group in groups.items():
                 values[name] = group.of(**{o: values.pop(o) for o in declared.options_of(group) if o in values})
@@ -200,28 +197,50 @@ _CONFIG = _keyword("config", None, Annotated[Path | None, typer.Option(
 )])  # fmt: skip
 
 
-def _check_logs(ctx: typer.Context, logs: list[Path | None]) -> None:
-    """Raise `OptionError` where the logs of the configuration have changed since it was saved."""
-    values = ctx.meta[_META]
-    if "log_sha256" in values and logs == [values.get("log"), *values.get("others", ())]:
+def _with_logs(ctx: typer.Context, values: dict[str, Any]) -> dict[str, Any]:
+    """The values with the logs of the configuration, unless the command line names one.
+
+    Raises:
+        OptionError: the logs have changed since the configuration was saved, or the verb takes fewer.
+    """
+    found = ctx.meta[_META]
+    of_config = [found.get("log"), *found.get("others", ())]
+    if "words" in values:
+        # the words [LOG] OUT
+        named = len(values["words"]) > 1
+        if not named and "log" in found:
+            values |= {"words": [str(found["log"]), *values["words"]]}
+        logs = [Path(values["words"][0])] if named else of_config[:1]
+    else:
+        named = _typed(ctx, "log")
+        if named and "others" in values and not _typed(ctx, "others"):
+            values |= {"others": None}
+        logs = [values.get("log"), *(values.get("others") or ())]
+    if not named and len(logs) < len(of_config):
+        from graphslam.errors import OptionError
+
+        raise OptionError(f"the configuration is of {len(of_config)} logs, and {ctx.info_name} takes one: name it")
+    if "log_sha256" in found and logs == of_config:
         from ..estimators.config import check_unchanged
 
-        check_unchanged(logs, values["log_sha256"])
+        check_unchanged(logs, found["log_sha256"])
+    return values
+
+
+def _typed(ctx: typer.Context, name: str) -> bool:
+    """Whether a value comes from the command line."""
+    source = ctx.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
 
 
 def _without_outranked(ctx: typer.Context, values: dict[str, Any], options: dict[str, Option]) -> dict[str, Any]:
     """The values without the noise numbers of a configuration file where --noise names another file."""
-
-    def typed(name: str) -> bool:
-        source = ctx.get_parameter_source(name)
-        return source is not None and source.name == "COMMANDLINE"
-
-    if not ("noise" in options and typed("noise")):
+    if not ("noise" in options and _typed(ctx, "noise")):
         return values
     from ..options import NoiseOptions, options_of
 
     of_noise = {name for name, each in options_of(NoiseOptions).items() if each.only != "python"}
-    return {name: value if name not in of_noise or typed(name) else None for name, value in values.items()}
+    return {name: value if name not in of_noise or _typed(ctx, name) else None for name, value in values.items()}
 
 
 def places(words: list[str], form: str) -> tuple[Path | None, Path]:

@@ -44,9 +44,13 @@ def config_text(
         "noise": options.noise if options.noise == AUTO else None,
         "map": None if options.map is None else _path_text(options.map.absolute()),
     }
-    for name in MODELS if options.noise != AUTO else ():
+    for name in MODELS:
+        model = getattr(options, name)
         # what was estimated from the log is estimated again
-        table[name] = None if (model := getattr(options, name)) is None else asdict(model)
+        numbers = (
+            (options.beside or {}).get(name) if options.noise == AUTO else None if model is None else asdict(model)
+        )
+        table[name] = numbers or None
     return to_toml(table, f"Repeat this run: slam-compare run --config config.toml\nmade with {', '.join(versions())}")
 
 

@@ -85,18 +85,23 @@ def mcl(log: Log, options: RunOptions) -> EstimatorResult:
         OptionError: there is no map, and the log does not have the true one.
     """
     if options.landmark_map is not None:
-        known = np.isin(log.landmarks, list(options.landmark_map))
-        result = of_several_seeds("mcl", log.with_sightings(known), options)
-        if known.all():
-            return result
-        left_out = f"{np.sum(~known)} of {len(known)} sightings are of landmarks that are not on the map, and left out"
-        return replace(result, notes=(*result.notes, left_out))
+        known, notes = on_map(log, options)
+        result = of_several_seeds("mcl", known, options)
+        return replace(result, notes=(*result.notes, *notes))
     if log.true_landmarks is None:
         raise OptionError(
             f"mcl localises on the true map of the landmarks, which {log.name} does not have; name a map with "
             "--map FILE (landmark_map), or take fastslam1 and fastslam2, which estimate one"
         )
     return replace(of_several_seeds("mcl", log, options), knows="true map")
+
+
+def on_map(log: Log, options: RunOptions) -> tuple[Log, tuple[str, ...]]:
+    """The log without sightings of landmarks that are not on the map of the options, and a note; the same without a map."""
+    if options.landmark_map is None or (known := np.isin(log.landmarks, list(options.landmark_map))).all():
+        return log, ()
+    left_out = f"{np.sum(~known)} of {len(known)} sightings are of landmarks that are not on the map, and left out"
+    return log.with_sightings(known), (left_out,)
 
 
 #: the particle filters by the name of their estimator, as names in `fastslam`, which is imported when one is used

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -36,7 +36,7 @@ from graphslam.maps.tracking import in_frame_of
 from graphslam.sessions import clock_offsets, join_robots, with_common_noise
 
 from ..results import noted
-from . import AUTO, BOOK, CalibrationOptions, LogOptions, MapOptions, NoiseOptions, ReadingOptions
+from . import AUTO, BOOK, MODELS, CalibrationOptions, LogOptions, MapOptions, NoiseOptions, ReadingOptions
 from .declaration import options_of
 from .toml_files import read_noise
 
@@ -100,8 +100,10 @@ def prepare(
         data, source = read_log(log, options)
         data, values, found = _with_noise(data, options)
         estimated = found is not None
-    values |= {name: value for name in values if (value := getattr(options, name)) is not None}
-    corrected: dict[str, Any] = {n: None if value == CORRECTIONS[n] else value for n, value in values.items()}
+    given = _given_corrections(options)
+    corrected: dict[str, Any] = {n: None if v == CORRECTIONS[n] else v for n, v in (values | given).items()}
+    # before an estimate they have been taken out
+    values |= {} if options.noise == AUTO else given
     # the place of the sensor that was given is where the estimate began
     numbers = {n: v for n, v in options.numbers.items() if not (estimated and n in SensorModel.GEOMETRY)}
     motion, sensor = replace(options, numbers=numbers).models(data.motion, data.sensor)
@@ -129,7 +131,7 @@ def prepare(
     filled: dict[str, Any] = {
         "numbers": {name: number for name, number in options.numbers.items() if name not in options_of(NoiseOptions)},
         "noise": AUTO if estimated else options.noise if of_file else None, "motion": motion, "sensor": sensor,
-        "calibration": found, "check_ids": check_ids or None,
+        "calibration": found, "check_ids": check_ids or None, "beside": _given_models(options) if estimated else None,
     }  # fmt: skip
     return data, source, replace(options, **filled, **corrected, **in_map)
 
@@ -197,17 +199,21 @@ def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], C
         return log.replace(motion=motion, sensor=sensor), values | of_file, None
     if options.noise is None and _gives_noise(options):
         return (log.replace(notes=(*log.notes, NOT_ESTIMATED)) if unknown_noise(log) else log), values, None
+    given = _given_corrections(options) if options.noise == AUTO else {}
+    motion, sensor = options.models(log.motion, log.sensor)
+    log = without_biases(log, motion=motion, sensor=sensor, **given)
     try:
         place = {name: value for name, value in options.of_component("sensor").items() if name in SensorModel.GEOMETRY}
         if place:
             log = log.replace(sensor=replace(log.sensor or SensorModel(), **place))
         noise = None if options.noise is None else str(options.noise)
-        known, estimate = known_noise(log, noise, *options.models(log.motion, log.sensor))
+        known, estimate = known_noise(log, noise, motion, sensor)
         # the ids of ranges and bearings alone are never checked
         if options.check_ids is False and estimate is not None and len(log.steps) and enough_ids(log):
             advice = "to run without that check, name the noise: --noise FILE or --noise book"
             raise OptionError(f"the estimate of the noise always checks ids; {advice}")
-        return known, values, None if estimate is None else Calibration.of(estimate)
+        found = None if estimate is None else Calibration.of(estimate)
+        return known, values, found and replace(found, **_one_after_the_other(given, found.corrections))
     except (GraphError, LogError) as error:
         return log.replace(notes=(*log.notes, f"noise auto kept {_kept(log)}: {error}")), values, None
 
@@ -256,6 +262,31 @@ def _gives_noise(options: LogOptions) -> bool:
     numbers = options.of_component("motion") | options.of_component("sensor")
     given = options.motion or options.sensor or any(getattr(options, name) is not None for name in CORRECTIONS)
     return bool(given or numbers.keys() - set(SensorModel.GEOMETRY))
+
+
+def _given_corrections(options: LogOptions) -> dict[str, float]:
+    """The biases that options give."""
+    return {name: value for name in CORRECTIONS if (value := getattr(options, name)) is not None}
+
+
+def _given_models(options: LogOptions) -> dict[str, dict[str, Any]]:
+    """The numbers of the noise models that options give, by model."""
+    given = {}
+    for name in MODELS:
+        model, numbers = getattr(options, name), options.of_component(name)
+        given[name] = numbers if model is None else asdict(model.changed(**numbers))
+    return given
+
+
+def _one_after_the_other(first: dict[str, float], second: dict[str, float]) -> dict[str, Any]:
+    """Two corrections as one; the second one is of a log that the first one has corrected."""
+    a, b = CORRECTIONS | first, CORRECTIONS | second
+    both = {name: a[name] * b[name] for name in CORRECTIONS if name.endswith("_scale")}
+    both |= {name: a[name] + b[name] for name in ("bearing_bias", "sensor_delay")}
+    both["range_bias"] = a["range_bias"] + a["range_scale"] * b["range_bias"]
+    both["turn_rate_bias"] = a["turn_rate_bias"] + a["turn_scale"] * b["turn_rate_bias"]
+    both["curvature_bias"] = a["curvature_bias"] * b["wheel_scale"] + a["turn_scale"] * b["curvature_bias"]
+    return both
 
 
 def _kept(log: Log) -> str:

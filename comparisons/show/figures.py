@@ -92,7 +92,7 @@ def draw_truth(axes: Axes, path: Array | None, landmarks: Mapping[int, Array] | 
     return positions
 
 
-def _parted(rows: Array, ends: np.ndarray | list[int]) -> Array:
+def parted(rows: Array, ends: np.ndarray | list[int]) -> Array:
     """Rows (n, ...) with a row of NaN before each of ``ends``, where another log begins: lines break there."""
     return np.insert(rows, ends, np.nan, axis=0)
 
@@ -104,12 +104,12 @@ def _draw_map(axes: Axes, comparison: Comparison) -> None:
     aligned, begun = canvas.aligned_to(log), log.initial_poses[starts]
     between = canvas.between_poses(log, comparison.options.motion)
     if (line := canvas.true_line(log)) is not None:
-        line = _parted(line, starts[1:] if log.true_path is None else log.control_starts[starts[1:]])
+        line = parted(line, starts[1:] if log.true_path is None else log.control_starts[starts[1:]])
     core = draw_truth(axes, line, canvas.true_landmarks(log) if aligned else None)
     for result in comparison.results:
         placement = canvas.placement_of_result(log, result)
         unknown = ~result.estimated[:, None]
-        path = _parted(between.through(np.where(unknown, np.nan, result.poses)), between.rows[starts[1:]])
+        path = parted(between.through(np.where(unknown, np.nan, result.poses)), between.rows[starts[1:]])
         poses = canvas.placed(log, placement, path)
         axes.plot(*poses[:, :2].T, label=_label(result), **canvas.style_of(result.name, len(poses)))
         (core if result is reference else rest).append(poses[np.isfinite(poses[:, 0]), :2])
@@ -184,7 +184,7 @@ def _draw_errors(axes: Axes, comparison: Comparison) -> None:
         style = canvas.style_of(name, len(errors))
         # errors cross each other more often than paths do
         thin = {"linewidth": 0.7 * style.get("linewidth", 1.0)}
-        axes.plot(_parted(elapsed, ends), _parted(errors, ends), **style | thin)
+        axes.plot(parted(elapsed, ends), parted(errors, ends), **style | thin)
         if (single := canvas.lone(errors)).any() and style["linestyle"] != "none":
             axes.plot(elapsed[single], errors[single], **style | LONE)
         medians.append(float(np.nanmedian(errors)))

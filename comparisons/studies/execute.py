@@ -32,7 +32,7 @@ from fastslam.particles import FilterResult
 from graphslam import FormatError, Log, LogError
 from graphslam.errors import printable
 from graphslam.files import check_file
-from graphslam.identification.declared import CORRECTIONS
+from graphslam.identification.declared import CORRECTIONS, of_sensor_alone
 from graphslam.metrics import ate
 
 from ..comparison import compare
@@ -118,8 +118,11 @@ def _execute(run: Run, log: Log) -> dict[str, Any]:
         # single numbers take precedence over those of the noise file, and those over the log's
         noise = NoiseOptions.of(**options.pop("noise"))
         motion, sensor = noise.models(log.motion, log.sensor)
-        corrections = {name: getattr(noise, name) for name in CORRECTIONS}
-        options = {**corrections, **options, "motion": motion, "sensor": sensor}
+        corrections = {n: value for n in CORRECTIONS if (value := getattr(noise, n)) is not None}
+        if log.controls is None:
+            corrections = of_sensor_alone(corrections)
+        # as with --noise FILE: what is known of the robot checks the ids
+        options = {"check_ids": True, **corrections, **options, "motion": motion, "sensor": sensor}
     comparison = compare(log, RunOptions.of(**options, seed=run.seed), estimators=[run.estimator])
     result = comparison.results[0]
     # not the rows of the table: they have NEES, too, for which covariances would be computed

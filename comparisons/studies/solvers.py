@@ -165,7 +165,7 @@ def compare_solvers(
     """
     data, _, given = prepare(log, SolverCheckOptions.of(**options))
     if len(data.steps) == 0:
-        raise GraphError(f"{data.name} has no sightings at all, so there is nothing to solve")
+        raise GraphError(f"{data.name} has no sightings of range and bearing, on which solvers are compared")
     work = partial(_solve_both, log=data, models={"motion": given.motion, "sensor": given.sensor})
     outcomes = rows_of(
         work, variants(data, given), jobs=given.jobs, progress=progress, limit=given.time_limit,

@@ -15,8 +15,8 @@ from typer.testing import Result
 
 from comparisons import run
 from comparisons.cli.run import _noise_advice
-from comparisons.estimators.config import read_config
-from comparisons.options import NoiseOptions, RunOptions
+from comparisons.estimators.config import config_text, read_config
+from comparisons.options import NoiseOptions, RunOptions, options_of
 from comparisons.options.reading import _compared_with_estimate, prepare
 from comparisons.options.toml_files import read_noise, write_noise
 from fastslam import FastSLAM2
@@ -37,6 +37,7 @@ from graphslam import (
 )
 from graphslam.association import known_noise
 from graphslam.calibration import Calibration, calibrate
+from graphslam.identification.corrections import without_biases
 from graphslam.identification.declared import CORRECTIONS
 from graphslam.log import UNIDENTIFIED
 from graphslam.simulation.worlds import simulate_single_numbers
@@ -450,3 +451,19 @@ def test_options_beside_the_estimate_are_given_and_alone_switch_it_off() -> None
     alone = run(log, estimators=["dead-reckoning"], nn=0.01)
     assert alone.noise_source == {"motion": "given", "sensor": "book"}
     assert any("--noise auto estimates the rest" in note for note in alone.log.notes)
+
+
+@pytest.mark.slow
+def test_what_is_given_beside_the_estimate_comes_first_and_is_repeated(tmp_path: Path) -> None:
+    """A bias of 0.1 m that is given is taken out once, and numbers beside --noise auto are in the configuration."""
+    drive = Drive(seed=5, duration=70.0, landmarks=20, parameters={"range_bias": 0.1, "range_scale": 1.0})
+    save(log := drive.simulate()[0], tmp_path / "a.npz")
+    first, *_, of_first = prepare(without_biases(log, range_bias=0.1), RunOptions.of(noise="auto"))
+    beside, source, options = prepare(tmp_path / "a.npz", RunOptions.of(noise="auto", range_bias=0.1, oo=0.3))
+    assert np.array_equal(beside.sightings, first.sightings)
+    assert options.calibration.range_bias == 0.1 + of_first.calibration.range_bias
+    (tmp_path / "config.toml").write_text(config_text(source, ("graph",), options))
+    values = {n: v for n, v in read_config(tmp_path / "config.toml").items() if n in options_of(RunOptions)}
+    again, *_, repeated = prepare(tmp_path / "a.npz", RunOptions.of(**values))
+    assert np.array_equal(again.sightings, beside.sightings)
+    assert repeated.models() == options.models() and repeated.motion.oo == 0.3

@@ -104,6 +104,17 @@ def test_a_study_that_is_not_finished_says_so(invoke: Invoke) -> None:
     assert "4 rows of runs that are no longer part of the study file are kept" in invoke("study", "study.sqlite").stdout
 
 
+def test_a_study_without_runs_has_no_figure_and_says_so(invoke: Invoke) -> None:
+    from comparisons.studies.plan import read_study
+
+    with StudyDatabase.writing(Path("study.sqlite")) as database:
+        database.plan(read_study(Path("study.toml")))
+    result = invoke("study", "study.sqlite", "--figure", "f.png")
+    assert result.exit_code == 0, result.output
+    assert "There is no figure: the study has no executed run." in result.stdout
+    assert not Path("f.png").exists()
+
+
 def test_wrong_use(invoke: Invoke) -> None:
     Path("study.toml").write_text("seed = 3\n" + STUDY)
     refused(invoke("sweep", "study.toml"), "study.toml:1:", "'seed'", "'seeds'")

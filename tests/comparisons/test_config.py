@@ -95,6 +95,26 @@ def test_a_log_that_has_changed_is_not_taken_for_the_same(invoke: Invoke, log_fi
     assert invoke("run", "other.npz", "--config", "o/config.toml", "--out", "o3").exit_code == 0
 
 
+@pytest.mark.parametrize("verb", [("report", "page.html"), ("animate", "film.gif"), ("show",)])
+def test_logs_of_a_configuration_are_all_taken_or_none(invoke: Invoke, log_file: Path, verb: tuple[str, ...]) -> None:
+    digest = "0" * 64
+    Path("two.toml").write_text("log = 'log.npz'\nothers = ['second.npz']\n")
+    result = invoke(*verb, "--config", "two.toml")
+    assert result.exit_code == 2
+    assert f"the configuration is of 2 logs, and {verb[0]} takes one: name it" in result.stderr
+    Path("changed.toml").write_text(f"log = 'log.npz'\nlog_sha256 = '{digest}'\n")
+    result = invoke(*verb, "--config", "changed.toml")
+    assert result.exit_code == 2
+    assert "log.npz has changed" in result.stderr
+
+
+def test_a_log_that_is_named_does_not_join_those_of_a_configuration(invoke: Invoke, log_file: Path) -> None:
+    Path("two.toml").write_text("log = 'first.npz'\nothers = ['second.npz']\nestimators = ['dead-reckoning']\n")
+    result = invoke("run", "log.npz", "--config", "two.toml", "--json", "-", "--out", "o")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["sessions"] is None
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [

@@ -31,6 +31,7 @@ from graphslam import (
     Drive,
     Graph,
     GraphError,
+    LandmarkMap,
     Log,
     LogError,
     OptionError,
@@ -41,7 +42,8 @@ from graphslam import (
     solve,
     solve_online,
 )
-from graphslam.se2 import mounted, wrap
+from graphslam.log import UNIDENTIFIED
+from graphslam.se2 import mounted, transform, wrap
 
 FEW = {"particles": 30, "seed": 4, "gibbs_iterations": 12, "gibbs_warm_up": 4, "gibbs_particles": 5, "gibbs_chains": 2}
 ANIMATED = options_of(AnimationOptions)["estimator"].choices
@@ -436,3 +438,26 @@ def test_a_film_without_true_poses_shows_the_whole_map(log: Log, name: str) -> N
     Scene(bare, animate(log.replace(true_poses=None, true_landmarks=None), estimator="graph"))
     landmarks = np.array([m[:2] for m in solve(make_graph(log, RunOptions())).landmarks.values()])
     assert bare.axes[0].viewLim.count_contains(landmarks) == len(landmarks)
+
+
+def test_single_true_poses_have_no_entry_of_their_own(log: Log) -> None:
+    """The true pose 5 has no neighbours, so that no line shows it."""
+    truth = log.true_poses.copy()
+    truth[[4, 6]] = np.nan
+    labels = [text.get_text() for text in _legend(animate(log.replace(true_poses=truth), max_frames=2)).get_texts()]
+    assert "ground truth" in labels and not [label for label in labels if label.startswith("_")]
+
+
+def test_localisation_in_a_map_of_other_axes_and_without_a_landmark(log: Log) -> None:
+    """The path is drawn where the ground truth is, and what is not on the map is left out, as in a run."""
+    seen = log.landmark_ids.tolist()
+    places = {j: transform(np.array([100.0, 50.0, 1.0]), log.true_landmarks[j][:2]) for j in seen[1:]}
+    filmed = animate(log, estimator="mcl", landmark_map=LandmarkMap(places, {}), max_frames=2, **FEW)
+    scene, last = filmed.pictures._scene, filmed.frames[-1].poses
+    assert np.max(np.hypot(*(scene.placed(last) - log.true_poses[:, :2]).T)) < 1.0
+    assert [note for note in filmed.notes if "landmarks that are not on the map" in note]
+
+
+def test_landmarks_that_are_numbered_by_discovery_align_nothing(log: Log) -> None:
+    unnamed = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED), true_poses=None)
+    assert animate(log, max_frames=2).named and not animate(unnamed, max_frames=2).named

@@ -19,6 +19,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
 from matplotlib.text import Text
@@ -37,11 +38,12 @@ from comparisons.show import canvas, log_tables, studies, tables
 from comparisons.show import report as page
 from comparisons.show.language import NUMBER, PLACE, VERBATIM, _translated, catalogue, key_of, language_of, translated
 from comparisons.show.report import charts
+from fastslam import associate
 from graphslam import OptionError, simulate
 from graphslam.graph import build, defaults
 from graphslam.identification.result import RobotEstimate
 from graphslam.identification.sighting_errors import Ids
-from graphslam.log import cells, geometry, streams
+from graphslam.log import UNIDENTIFIED, cells, geometry, streams
 from graphslam.log_checks import given, ids, readings
 from graphslam.maps import parts, tracking
 
@@ -469,3 +471,11 @@ def test_the_report_is_japanese(tmp_path: Path) -> None:
     assert [
         s for s in shown if re.search("[a-z]{3}", re.sub("graph|fastslam1", "", s)) and not JAPANESE.search(s)
     ] == []
+
+
+def test_notes_on_ids_that_were_found_are_translated() -> None:
+    log = simulate(seed=1, steps=60, clean=True)
+    ids = np.where(np.arange(len(log.steps)) % 5, log.landmarks, UNIDENTIFIED)
+    notes = associate(log.replace(landmarks=ids)).notes
+    assert any("kept the ids" in note for note in notes)
+    assert [note for note in notes if translated(note, "ja") == note] == []

@@ -328,6 +328,12 @@ def test_several_logs_have_a_page_with_their_errors_and_all_notes(log: Log) -> N
     remarks = comparison_tables(outcome, brief=True)[1]
     assert any("notes about reading, noise and ids of single logs are in the JSON" in each for each in remarks)
     assert not any("note 7" in each for each in remarks)
+    # no line leads from the end of one log to the start of the next one
+    figures = [charts.paths_figure(view_of(outcome)), errors_figure(view_of(outcome))]
+    lines = [t for figure in figures for t in figure["data"] if t["meta"]["layer"] in ("path", "truth", "error")]
+    lines = [trace for trace in lines if trace["mode"] == "lines"]
+    assert [trace["meta"]["layer"] for trace in lines] == ["path", "truth", "error"]
+    assert all([k for k, y in enumerate(trace["y"]) if y is None] == [middle] for trace in lines)
 
 
 def test_only_true_landmarks_that_were_seen_are_drawn(log: Log) -> None:

@@ -1,4 +1,4 @@
-"""`slam-compare run` on tables in which sightings have a range or a bearing alone."""
+"""`slam-compare run` on logs of ranges or bearings alone, or of positions alone."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
-from graphslam import Graph, load, solve
+from comparisons import animate, compare_solvers, run
+from graphslam import AbsolutePositions, Graph, GraphError, Log, load, simulate, solve
 from graphslam.simulation.worlds import simulate_single_numbers
 
 Invoke = Callable[..., Result]
@@ -64,3 +65,35 @@ def test_empty_cells_go_through_the_command_line(invoke: Invoke, tmp_path: Path,
     assert again.partial_sightings is not None and len(again.partial_sightings) == len(partial)
     found = solve(Graph.from_log(again, motion=log.motion, sensor=log.sensor, kernel="none"))
     assert found.converged and set(found.landmarks) == {0, 1, 2, 3}
+
+
+def positions_alone() -> Log:
+    log = simulate(seed=1, steps=40)
+    steps = np.arange(0, log.num_poses, 3)
+    positions = AbsolutePositions(steps=steps, places=log.true_poses[steps, :2], covariances=0.01 * np.eye(2))
+    return log.with_sightings(np.zeros(len(log.steps), dtype=bool)).replace(positions=positions)
+
+
+def ranges_alone() -> Log:
+    return simulate_single_numbers("range", seed=7, poses=60, landmarks=4)
+
+
+def test_a_log_of_positions_alone_is_estimated_as_its_graph_is() -> None:
+    log = positions_alone()
+    found = run(log, estimators=["graph", "dead-reckoning"])
+    assert found["graph"].cost == solve(Graph.from_log(log)).cost
+    assert found.table["graph"].ate_m < found.table["dead-reckoning"].ate_m
+    bare = log.replace(positions=None)
+    for work in (run, animate):
+        with pytest.raises(GraphError, match="no sightings at all, so there is nothing to estimate from"):
+            work(bare)
+
+
+@pytest.mark.parametrize("make", [positions_alone, ranges_alone])
+def test_what_needs_ranges_and_bearings_says_so(make: Callable[[], Log]) -> None:
+    log = make()
+    assert len(animate(log, max_frames=2)) == 2
+    with pytest.raises(GraphError, match="no sightings of range and bearing, so there is nothing to associate"):
+        animate(log, estimator="association")
+    with pytest.raises(GraphError, match="no sightings of range and bearing, on which solvers are compared"):
+        compare_solvers(log, jobs=0)

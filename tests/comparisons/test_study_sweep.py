@@ -28,6 +28,7 @@ from comparisons.studies.plan import Study, read_study
 from comparisons.studies.sweep import SweepOutcome, sweep
 from graphslam import FormatError, Log, OptionError, SlamError, save, simulate
 from graphslam.processes import how_it_ended, processes
+from graphslam.simulation.drives import Drive
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -306,6 +307,22 @@ def test_options_of_the_study_reach_the_estimator(make: Callable[..., Study], tm
     by_numbers = {"bearing_std": 0.07, "range_std": 0.3, "range_rate": 0.0, "range_scale": 1.02}
     again = run_by_hand(tmp_path / "a.npz", estimators=["graph"], stride=2, max_range=5, **by_numbers).table[0]
     assert row["cost"] == again.cost
+
+
+def test_a_noise_file_does_in_a_study_what_it_does_in_a_run(make: Callable[..., Study], tmp_path: Path) -> None:
+    """It checks ids, and corrects of a log without controls its sightings alone."""
+    text = "[motion]\nnn = 0.05\noo = 0.01\n[sensor]\nrange_std = 0.02\n[odometry]\nwheel_scale = 1.02\n"
+    (tmp_path / "noise.toml").write_text(text)
+    log = Drive(seed=5, duration=70.0, landmarks=20, misread=0.05).simulate()[0]
+    save(log, tmp_path / "a.npz")
+    bare = simulate(seed=5, steps=20, landmarks=60).replace(controls=None, control_starts=None, dt=None)
+    save(bare, tmp_path / "b.npz")
+    study = make("logs = ['a.npz', 'b.npz']\nestimators = ['graph']\n[options]\nnoise = 'noise.toml'\n")
+    sweep(study, jobs=0)
+    for name, row in zip(("a.npz", "b.npz"), rows(study.database)):
+        by_hand = run_by_hand(tmp_path / name, estimators=["graph"], noise=tmp_path / "noise.toml")
+        assert by_hand.options.check_ids
+        assert row["cost"] == by_hand.table[0].cost
 
 
 def test_jobs_or_a_cluster(make: Callable[..., Study]) -> None:

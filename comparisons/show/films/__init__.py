@@ -44,7 +44,7 @@ def animate(log: Log | str | PathLike[str] | None = None, *, progress: Progress 
     own = {f.name: options.pop(f.name) for f in fields(AnimationOptions) if f.name in options}
     animation = AnimationOptions.of(**own)
     data, source, run = prepare(log, RunOptions.of(**options))
-    if len(data.steps) == 0:
+    if len(data.steps) == 0 and not data.measured:
         raise GraphError(f"{data.name} has no sightings at all, so there is nothing to estimate from")
     makers = {"graph": graph_film, "association": association_film, "isam2": isam2_film, "particle-gibbs": sample_film}
     film = makers.get(animation.estimator, particle_film)(data, run, animation, progress or (lambda: None))

@@ -21,6 +21,7 @@ from graphslam.solvers.initialize import starting_state
 from graphslam.solvers.iteration import METHODS, Iteration
 
 from ...estimators import ESTIMATORS, isam2_options, make_graph, online_keywords
+from ...estimators.filters import identified
 from ...options import AnimationOptions, RunOptions
 from ...results.results import CLUTTER, CONFIRMED, UNCONFIRMED, status_of
 from ..canvas import RESIDUALS, SIGHTINGS
@@ -76,7 +77,7 @@ def graph_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
     return Film(
         title=f"{log.name}: graph SLAM, {graph.num_edges} edges", name="graph", frames=tuple(frames), steps=len(run.states),
         notes=(*graph.notes, *notes), parts=parts, log=log, motion=options.motion,
-        scale=(norm, COLORS, "Mahalanobis distance of an edge"),
+        scale=(norm, COLORS, "Mahalanobis distance of an edge"), named=identified(log, options)[1] is None,
     )  # fmt: skip
 
 
@@ -214,6 +215,8 @@ def association_film(log: Log, options: RunOptions, animation: AnimationOptions,
     Raises:
         SlamError: no ids are found, or the log does not determine the graph.
     """
+    if len(log.steps) == 0:
+        raise GraphError(f"{log.name} has no sightings of range and bearing, so there is nothing to associate")
     result = ESTIMATORS["graph"].run(log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED)), options)
     assert result.association is not None and result.found is not None
     status, sensor = status_of(result), options.sensor or log.sensor or SensorModel()

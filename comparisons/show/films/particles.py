@@ -15,7 +15,7 @@ from graphslam import Log
 from graphslam.se2 import Array
 
 from ...estimators import gibbs_sampler
-from ...estimators.filters import particle_filter
+from ...estimators.filters import on_map, particle_filter
 from ...options import AnimationOptions, RunOptions
 from ..canvas import FLASH, PARTICLE
 from .scene import Film, Frame, Scene, kept
@@ -38,6 +38,7 @@ def particle_film(log: Log, options: RunOptions, animation: AnimationOptions, pr
         LogError, OptionError: the filter cannot run on this log.
     """
     name = animation.estimator
+    log, left_out = on_map(log, options) if name == "mcl" else (log, ())
     wanted = set(kept(log.num_poses, animation.max_frames).tolist())
     frames: list[Frame] = []
     resamplings = 0
@@ -52,7 +53,7 @@ def particle_film(log: Log, options: RunOptions, animation: AnimationOptions, pr
                 resamplings = 0
             progress()
     result = filter.result()
-    notes = list(dict.fromkeys(str(each.message) for each in caught if issubclass(each.category, SAID)))
+    notes = list(dict.fromkeys([*left_out, *(str(each.message) for each in caught if issubclass(each.category, SAID))]))
     if options.filter.particles > MOST_PARTICLES:
         notes.append(f"{len(frames[0].dots)} of {options.filter.particles} particles are drawn")
 
@@ -72,7 +73,9 @@ def particle_film(log: Log, options: RunOptions, animation: AnimationOptions, pr
     title = f"{log.name}: {_NAMES[name]}, {options.filter.particles} particles{_STAGES[options.filter.stage]}"
     return Film(
         title=title, name=name, frames=tuple(frames), steps=log.num_poses, notes=tuple(notes), parts=parts, log=log,
-        motion=options.motion, named=result.options.uses_ids, aligned=name != "mcl",
+        motion=options.motion, named=result.options.uses_ids,
+        # the true map is in the axes of the truth, and a map of the options in its own
+        aligned=name != "mcl" or options.landmark_map is not None,
     )  # fmt: skip
 
 

@@ -233,9 +233,12 @@ class Scene:
         self.known = self.plane.lines[1:]
         for line in self.known:
             line.set_zorder(2)
-            self.remember(str(line.get_label()), line)
-            if line.get_label() == "ground truth":
+            label = str(line.get_label())
+            if label != "true landmark":
                 line.set(color="0.55", linewidth=1.6)
+            # poses of which no line shows belong to the same entry
+            if not label.startswith("_"):
+                self.remember(label, line)
         content = np.concatenate(core), [drifting, self.along(film.frames[0].poses)]
         self.extent = canvas.set_limits(self.plane, *content)
         # the second line of the title is left empty for the caption

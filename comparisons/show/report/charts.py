@@ -32,7 +32,7 @@ from ...estimators import pair_count
 from ...options import RunOptions
 from ...results.files import time_axis
 from ..canvas import INK, ITERATIONS, MATCHED, MATRIX, colour_of, limits_of, logarithmic_from, true_landmarks
-from ..figures import ellipses
+from ..figures import ellipses, parted
 from .view import Estimate, Figure, View, axis, layout, line_of, logarithmic, place, short
 
 #: [-, s, rad, m, m, m, -, rad]; None where unknown
@@ -277,11 +277,14 @@ def errors_figure(view: View) -> Figure | None:
         return None
     where, name = (view.steps.astype(float) if view.times is None else view.times), time_axis(view.log)
     drawn = [e for e in view.estimates if np.isfinite(e.errors).any() and e.name != view.measured_from]
+    # the lines break where another log begins
+    ends = np.searchsorted(view.steps, [drive.start for drive in view.log.drives[1:]])
+    steps = [None if np.isnan(t) else int(t) for t in parted(view.steps.astype(float), ends)]
     traces = [
         {
             "type": "scatter", "meta": {"estimator": estimate.name, "layer": "error"},
-            "x": [place(v) for v in where], "y": [short(v) for v in estimate.errors],
-            "customdata": [int(t) for t in view.steps],
+            "x": [place(v) for v in parted(where, ends)], "y": [short(v) for v in parted(estimate.errors, ends)],
+            "customdata": steps,
             "hovertemplate": f"<b>{estimate.name}</b>, step %{{customdata}}<br>{name.split()[0]} %{{x}}<br>"
             "%{y:.4f} m<extra></extra>", **line_of(estimate.name),
         }

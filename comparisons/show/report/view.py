@@ -22,6 +22,7 @@ from ...comparison import Comparison
 from ...results import EstimatorResult
 from ...results.files import elapsed_of
 from .. import canvas
+from ..figures import parted
 
 #: of longer logs every N-th step is shown: a screen has no more points, and the file must stay small
 MOST_STEPS = 1500
@@ -36,7 +37,7 @@ class Estimate:
     Attributes:
         name: of the estimator.
         poses: (S, 3); NaN where the pose is not estimated.
-        line: (P, 3) the path along the recorded controls.
+        line: (P, 3) the path along the recorded controls; NaN before each further one of several logs.
         errors: (S,) [m], see `View.measured_from`; NaN where unknown.
         covariances: (S, 3, 3) in the aligned axes, NaN where unknown; None where none is known.
         landmarks, landmark_covariances: {id: (2,)} and {id: (2, 2)} in the aligned axes.
@@ -97,8 +98,11 @@ def view_of(comparison: Comparison) -> View:
     seen = np.column_stack([places, log.landmarks])
     bounds = zip(np.searchsorted(log.steps, steps), np.searchsorted(log.steps, steps, side="right"))
     line, between = canvas.true_line(log), canvas.between_poses(log, comparison.options.motion, MOST_POINTS)
-    if line is not None and log.true_path is not None:
-        line = line[:: max(1, len(line) // MOST_POINTS)]
+    starts = np.array([drive.start for drive in log.drives[1:]], dtype=np.int64)
+    if line is not None:
+        shown = np.arange(0, len(line), 1 if log.true_path is None else max(1, len(line) // MOST_POINTS))
+        ends = starts if log.true_path is None else log.control_starts[starts]
+        line = parted(line[shown], np.searchsorted(shown, ends))
     return View(
         log=log, aligned_to=canvas.aligned_to(log), steps=steps,
         times=None if log.times is None else elapsed_of(log)[steps],
@@ -124,7 +128,9 @@ def _estimate(
         turn = turn_matrix(placement[2]) @ turn
         covariances = turn @ covariances[steps] @ np.swapaxes(turn, 1, 2)
     poses = np.where(result.estimated[steps, None], canvas.placed(log, placement, result.poses[steps]), np.nan)
-    line = canvas.placed(log, placement, between.through(np.where(result.estimated[:, None], result.poses, np.nan)))
+    path_of = between.through(np.where(result.estimated[:, None], result.poses, np.nan))
+    path_of = parted(path_of, between.rows[[drive.start for drive in log.drives[1:]]])
+    line = canvas.placed(log, placement, path_of)
     maps = canvas.place_map(placement, result.landmarks, result.landmark_covariances)
     # without the ids of the log, errors are known by true landmark only
     of_map = (comparison.metrics[result.name].landmark_errors_m or {}) if result.named else {}
