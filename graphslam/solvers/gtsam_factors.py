@@ -49,14 +49,18 @@ def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fa
     made = gtsam.NonlinearFactorGraph()
     joined, families = _joined(graph, reference) if factors == "fastest" else ([], graph.families)
     each = (_factors_of(family, graph, reference, factors) for family in families)
-    for factor in chain(*each, joined):
+    for factor in chain(*each, joined, held_nodes(graph)):
         made.add(factor)
+    return made
+
+
+def held_nodes(graph: Graph) -> Iterator[gtsam.NonlinearFactor]:
+    """What keeps the fixed nodes where they are."""
     for node in graph.fixed.tolist():
         if node in graph.without_heading:
-            made.add(gtsam.NonlinearEqualityPoint2(node, gtsam.Point2(*graph.initial[node, :2])))
+            yield gtsam.NonlinearEqualityPoint2(node, gtsam.Point2(*graph.initial[node, :2]))
         else:
-            made.add(gtsam.NonlinearEqualityPose2(node, gtsam.Pose2(*graph.initial[node])))
-    return made
+            yield gtsam.NonlinearEqualityPose2(node, gtsam.Pose2(*graph.initial[node]))
 
 
 def _check_information(graph: Graph, family: edges.RelativePoseEdges | edges.RelativePointEdges) -> None:

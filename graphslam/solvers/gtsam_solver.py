@@ -32,7 +32,7 @@ from ..identification.corrections import corrected_controls, motion_slopes, move
 from ..models import RANGE_NOISES
 from ..se2 import Array, difference, turn_matrix, turned_by, wrap
 from .auto import DAMPED, best_end
-from .gtsam_factors import eliminated_landmarks, from_values, to_gtsam, to_values
+from .gtsam_factors import eliminated_landmarks, from_values, held_nodes, to_gtsam, to_values
 from .initialize import starting_state
 from .iteration import PROMISE, Run, rounding
 from .joint import JointGraph, controls_of
@@ -108,6 +108,8 @@ def _factors(graph: Graph, nodes: Array, key: int) -> gtsam.NonlinearFactorGraph
                 made.add(factor)
     noise = gtsam.noiseModel.Diagonal.Precisions(parameters.weights)
     made.add(gtsam.PriorFactorVector(key, parameters.means, noise))
+    for held in held_nodes(graph):
+        made.add(held)
     return made
 
 
