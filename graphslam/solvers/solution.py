@@ -90,7 +90,7 @@ def _with_nodes(graph: Graph, log: Log, state: Array) -> tuple[Graph, Array]:
     assert nodes is not None
     ids = np.unique(log.landmarks[graph.sighting_rows])
     marks = replace(sighted.marginal, noise_at=None).landmarks(state, state)
-    return replace(nodes, landmark_ids=ids, parameters=None, held=None), np.concatenate([state, marks])
+    return replace(nodes, landmark_ids=ids), np.concatenate([state, marks])
 
 
 def _classes(log: Log | None) -> dict[int, str | int]:
