@@ -89,7 +89,7 @@ def _with_nodes(graph: Graph, log: Log, state: Array) -> tuple[Graph, Array]:
     nodes = with_landmark_nodes(graph)
     assert nodes is not None
     ids = np.unique(log.landmarks[graph.sighting_rows])
-    marks = replace(sighted.marginal, noise_at=None).landmarks(state, state)
+    marks = sighted.marginal.landmarks(state, state)
     return replace(nodes, landmark_ids=ids), np.concatenate([state, marks])
 
 
@@ -115,7 +115,7 @@ class Solution:
         poses: (T+1, 3) [m, m, rad], headings in [-pi, pi); for a pose graph one row per pose id, by increasing id.
         estimated: (T+1,) bool; False for poses that are not part of the graph: their rows hold the initial guess.
         landmarks: {id: (x, y) or (x, y, heading)}; landmark nodes, or the map that `estimate_map` makes from the poses,
-            with the graph's robust kernel and its trust in the sightings.
+            with the graph's robust kernel, its trust in the sightings and their noise.
         cost: J at the solution, the sum of e' Omega e (without a factor 1/2), with the priors of estimated parameters; NaN
             with a lag, see `solve_online`.
         costs: J before the first step and after each one, as far as the solver reports it.
