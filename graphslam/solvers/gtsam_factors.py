@@ -18,7 +18,7 @@ from ..edges.robust import Kernel
 from ..errors import GraphError, checks
 from ..graph import Graph
 from ..graph.build import node_names
-from ..se2 import Array
+from ..se2 import Array, wrap
 
 #: how edges become factors
 FACTORS = ("fastest", "per-edge")
@@ -45,7 +45,7 @@ def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fa
     for family in graph.families:
         if isinstance(family, edges.RelativePoseEdges | edges.RelativePointEdges):
             _check_information(graph, family)
-    reference = graph.initial if reference is None else reference
+    reference = without_turns(graph.initial if reference is None else reference)
     made = gtsam.NonlinearFactorGraph()
     joined, families = _joined(graph, reference) if factors == "fastest" else ([], graph.families)
     each = (_factors_of(family, graph, reference, factors) for family in families)
@@ -61,6 +61,11 @@ def held_nodes(graph: Graph) -> Iterator[gtsam.NonlinearFactor]:
             yield gtsam.NonlinearEqualityPoint2(node, gtsam.Point2(*graph.initial[node, :2]))
         else:
             yield gtsam.NonlinearEqualityPose2(node, gtsam.Pose2(*graph.initial[node]))
+
+
+def without_turns(poses: Array) -> Array:
+    """Poses (n, 3) with headings in [-pi, pi): those of trajectories count turns, and factors take many for degrees."""
+    return np.column_stack([poses[:, :2], wrap(poses[:, 2])])
 
 
 def _check_information(graph: Graph, family: edges.RelativePoseEdges | edges.RelativePointEdges) -> None:
@@ -152,7 +157,7 @@ def _factors_of(
         for node, value, information in zip(family.nodes[:, None], family.values[:, None], family.information):
             yield _prior_factor(graph, node, value, information)
     elif isinstance(family, edges.AnchorEdges):
-        for i, x, information in _rows(family.nodes, family.values, family.information):
+        for i, x, information in _rows(family.nodes, without_turns(family.values), family.information):
             if information[:2].any():
                 yield factor_types.AnchorFactor(i, x, information)
             else:

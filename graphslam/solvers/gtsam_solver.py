@@ -32,7 +32,7 @@ from ..identification.corrections import corrected_controls, motion_slopes, move
 from ..models import RANGE_NOISES
 from ..se2 import Array, difference, turn_matrix, turned_by, wrap
 from .auto import DAMPED, best_end
-from .gtsam_factors import eliminated_landmarks, from_values, held_nodes, to_gtsam, to_values
+from .gtsam_factors import eliminated_landmarks, from_values, held_nodes, to_gtsam, to_values, without_turns
 from .initialize import starting_state
 from .iteration import PROMISE, Run, rounding
 from .joint import JointGraph, controls_of
@@ -69,7 +69,7 @@ def _minimum(joint: JointGraph, state: Array, tolerance: float) -> Array:
     """The minimum of the graph frozen at a state (n + r, 3), as such a state."""
     (graph, nodes, _), (_, values) = joint.at(state), joint.parted(state)
     key = 2 * graph.num_nodes + len(graph.sighting_rows)
-    made, start = _factors(graph, nodes, key), to_values(graph, nodes)
+    made, start = _factors(graph, without_turns(nodes), key), to_values(graph, nodes)
     start.insert(eliminated_landmarks(graph, nodes, always=True))
     start.insert(key, np.array(values))
     optimizer = _undamped(made, start)
