@@ -33,7 +33,7 @@ from ..models import RANGE_NOISES
 from ..se2 import Array, difference, turn_matrix, turned_by, wrap
 from .auto import DAMPED, best_end
 from .gtsam_factors import eliminated_landmarks, from_values, held_nodes, to_gtsam, to_values, without_turns
-from .initialize import starting_state
+from .initialize import image_notes, starting_state
 from .iteration import PROMISE, Run, rounding
 from .joint import JointGraph, controls_of
 from .minimize import FIRST, at_estimated_ranges, best_of_starts, takes_estimated_ranges
@@ -248,7 +248,8 @@ def _solved(graph: Graph, initialize: str, tolerance: float, *, factors: str, ma
 
         search, begun = solve_jointly_with_gtsam, partial(Run, graph.initial, tolerance, max_iterations)
         found, run = best_of_starts(graph, solved, search, begun)
-        return make_solution(found, run, "gtsam", time.perf_counter() - begin)
+        images = image_notes(found, run.state)
+        return make_solution(found, run, "gtsam", time.perf_counter() - begin, notes=images)
     made = to_gtsam(graph, factors=factors)
     begin = time.perf_counter()
 
@@ -273,8 +274,9 @@ def _solved(graph: Graph, initialize: str, tolerance: float, *, factors: str, ma
 
     end = best_end(graph, run_from, DAMPED) if initialize == "auto" else None
     run = run_from(starting_state(graph, initialize)) if end is None else end.run
+    notes = _contents(made), *image_notes(graph, run.state)
     seconds, certificate = time.perf_counter() - begin, None if end is None else end.known_certificate
-    return make_solution(graph, run, "gtsam", seconds, notes=(_contents(made),), certificate=certificate)
+    return make_solution(graph, run, "gtsam", seconds, notes=notes, certificate=certificate)
 
 
 def _contents(factors: gtsam.NonlinearFactorGraph) -> str:
