@@ -52,8 +52,8 @@ def solved_map(graph: Graph, state: Array, uncertainty: Uncertainty) -> Landmark
     """
     log = graph.log
     if not len(graph.landmark_ids):
-        if log is None:
-            raise OptionError("a graph without a log and without landmark nodes has no map")
+        if log is None or not len(graph.sighting_rows):
+            raise OptionError("the solution has no map: its graph has no landmark nodes and no sightings of a log")
         graph, state = _with_nodes(graph, log, state)
         uncertainty = Uncertainty(graph, state)
     poses, d = len(graph.steps), graph.landmark_dimension
@@ -217,6 +217,8 @@ class Solution:
         if ids and not len(graph.landmark_ids):
             message = f"landmark {ids[0]} is no node of this graph; edges='landmark+motion' makes nodes of landmarks"
             raise OptionError(message)
+        if not nodes and not ids:
+            return np.zeros((0, 0))
         sizes = [3] * len(nodes) + [d] * len(ids)
         nodes += [first + int(np.searchsorted(graph.landmark_ids, id)) for id in ids]
         different, places = np.unique(nodes, return_inverse=True)
@@ -259,11 +261,11 @@ class Solution:
         """e' Omega e / (3 T) of all poses together but the first, given the first; 1 on average if consistent.
 
         Landmark nodes and estimated parameters are eliminated, so that their uncertainty counts; `scan_errors` do not count.
-        The truth must be in the frame of the graph, and known for all its poses.
+        The truth must be in the frame of the graph, and known for all its poses. NaN for a single pose.
         """
         graph = self._solved_graph
         errors = difference(self.state[: len(graph.steps)], np.asarray(true_poses, dtype=float)[graph.steps])
-        return self._uncertainty.joint_square(errors) / errors[1:].size
+        return self._uncertainty.joint_square(errors) / errors[1:].size if len(errors) > 1 else np.nan
 
     @property
     def residual_inflation(self) -> float:
