@@ -371,13 +371,14 @@ class Graph:
 
     @property
     def _gauge(self) -> int:
-        """The coordinates that are held without a measurement: those of one pose, unless a map or positions are there."""
+        """The coordinates held without a measurement: of fixed poses, or one pose, unless a map or positions are there."""
+        fixed = 3 * int(np.count_nonzero(self.fixed < len(self.steps)))
         if self.map is not None:
-            return 0
+            return fixed
         if not any(isinstance(family, PositionEdges) for family in self.families):
-            return 3
+            return max(3, fixed)
         held = [family.information for family in self.families if type(family) is AnchorEdges]
-        return min(3, 3 * len(self.fixed) + sum(int(np.linalg.matrix_rank(each).sum()) for each in held))
+        return fixed + min(3, sum(int(np.linalg.matrix_rank(each).sum()) for each in held))
 
     @property
     def mapped(self) -> np.ndarray:
