@@ -345,7 +345,8 @@ def estimate_map(
     Args:
         log: whose sightings are used; those without a landmark id are left out.
         poses: the trajectory (T+1, 3), or anything with such an attribute ``poses``. A `Solution` of this log also gives
-            the defaults of sensor, kernel, trust and noise_at: those of its graph.
+            the defaults of sensor, kernel, trust and noise_at, those of its graph, and the sightings where biases were
+            taken out of them.
         sensor: the noise model; default: that of the solution's graph, else the log's, else the book's.
         kernel: a robust kernel on each sighting, as in `Graph.from_log`; the map is then the robust mean.
         trust: (M,) a factor from 0 to 1 on the information of each sighting, such as `Solution.trust`; NaN counts as 1.
@@ -365,8 +366,11 @@ def estimate_map(
     if graph is not None and graph.log is not None:
         own_kernel, own_trust, own_noise = graph.verdict
         sensor, kernel, trust = sensor or graph.sensor, kernel or own_kernel, own_trust if trust is None else trust
-        if noise_at is None and own_noise.shape == log.sightings.shape:
-            noise_at = own_noise
+        if own_noise.shape == log.sightings.shape and np.array_equal(log.steps, graph.log.steps):
+            noise_at = own_noise if noise_at is None else noise_at
+            if graph.parameters is not None or graph.log.uncertain is not None:
+                # the log as it was recorded has the biases that were taken out of that of the graph
+                log = log.replace(sightings=graph.log.sightings)
     sensor = sensor or log.sensor or SensorModel()
     trajectory = checks.array_of("poses", getattr(poses, "poses", poses))
     if trajectory.shape != (log.num_poses, 3):
