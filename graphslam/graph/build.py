@@ -334,6 +334,7 @@ def estimate_map(
     sensor: SensorModel | None = None,
     kernel: Kernel | str | None = None,
     trust: ArrayLike | None = None,
+    noise_at: ArrayLike | None = None,
 ) -> LandmarkMap:
     """m_j = argmin over m of the sum of w (m - y)' Omega (m - y), y = h^-1(x_t, z), Omega^-1 = R Q R', for each landmark.
 
@@ -344,25 +345,32 @@ def estimate_map(
     Args:
         log: whose sightings are used; those without a landmark id are left out.
         poses: the trajectory (T+1, 3), or anything with such an attribute ``poses``. A `Solution` of this log also gives
-            the defaults of sensor, kernel and trust: those of its graph.
+            the defaults of sensor, kernel, trust and noise_at, those of its graph, and the sightings where biases were
+            taken out of them.
         sensor: the noise model; default: that of the solution's graph, else the log's, else the book's.
         kernel: a robust kernel on each sighting, as in `Graph.from_log`; the map is then the robust mean.
         trust: (M,) a factor from 0 to 1 on the information of each sighting, such as `Solution.trust`; NaN counts as 1.
+        noise_at: (M, 2 or 3) the sightings at which Q and R are evaluated; default: the measured ones.
 
     Returns:
         The map, with the covariance of each landmark given the trajectory: (sum of w Omega)^-1, and with a kernel that of
         the robust mean (`Kernel.information_per_weight`).
 
     Raises:
-        OptionError: the poses or the trust do not fit the log, or there is no such kernel.
+        OptionError: the poses, the trust or noise_at do not fit the log, or there is no such kernel.
         GraphError: numbers of the log or the sensor are outside of what double precision can hold.
 
     Source: the lectures, section 9.1.2.
     """
     graph = getattr(poses, "graph", None)
     if graph is not None and graph.log is not None:
-        own_kernel, own_trust = graph.verdict
+        own_kernel, own_trust, own_noise = graph.verdict
         sensor, kernel, trust = sensor or graph.sensor, kernel or own_kernel, own_trust if trust is None else trust
+        if own_noise.shape == log.sightings.shape and np.array_equal(log.steps, graph.log.steps):
+            noise_at = own_noise if noise_at is None else noise_at
+            if graph.parameters is not None or graph.log.uncertain is not None:
+                # the log as it was recorded has the biases that were taken out of that of the graph
+                log = log.replace(sightings=graph.log.sightings)
     sensor = sensor or log.sensor or SensorModel()
     trajectory = checks.array_of("poses", getattr(poses, "poses", poses))
     if trajectory.shape != (log.num_poses, 3):
@@ -370,6 +378,7 @@ def estimate_map(
     trusted = np.ones(len(log.steps)) if trust is None else np.nan_to_num(checks.array_of("trust", trust), nan=1.0)
     if trusted.shape != log.steps.shape or np.any((trusted < 0) | (trusted > 1)):
         raise OptionError(f"trust must be {len(log.steps)} numbers from 0 to 1, one for each sighting of this log")
+    noisy = log.sightings if noise_at is None else checks.finite_numbers("noise_at", noise_at, log.sightings.shape)
     known = np.flatnonzero(log.landmarks != UNIDENTIFIED)
     if len(known) == 0:
         return LandmarkMap({}, {})
@@ -378,7 +387,7 @@ def estimate_map(
     ids, starts = np.unique(log.landmarks[rows], return_index=True)
     edges = MarginalEdges(
         np.append(starts, len(rows)), log.steps[rows], log.sightings[rows], sensor,
-        kernel=kernel_of(kernel), trust=trusted[rows],
+        kernel=kernel_of(kernel), trust=trusted[rows], noise_at=noisy[rows],
     )  # fmt: skip
     means, covariances = edges.map(trajectory)
     return LandmarkMap.of_estimate(dict(zip(ids.tolist(), means)), dict(zip(ids.tolist(), covariances)))

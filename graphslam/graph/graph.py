@@ -371,13 +371,14 @@ class Graph:
 
     @property
     def _gauge(self) -> int:
-        """The coordinates that are held without a measurement: those of one pose, unless a map or positions are there."""
+        """The coordinates held without a measurement: of fixed poses, or one pose, unless a map or positions are there."""
+        fixed = 3 * int(np.count_nonzero(self.fixed < len(self.steps)))
         if self.map is not None:
-            return 0
+            return fixed
         if not any(isinstance(family, PositionEdges) for family in self.families):
-            return 3
+            return max(3, fixed)
         held = [family.information for family in self.families if type(family) is AnchorEdges]
-        return min(3, 3 * len(self.fixed) + sum(int(np.linalg.matrix_rank(each).sum()) for each in held))
+        return fixed + min(3, sum(int(np.linalg.matrix_rank(each).sum()) for each in held))
 
     @property
     def mapped(self) -> np.ndarray:
@@ -467,19 +468,20 @@ class Graph:
         return family.kernel.weight(squares)
 
     @property
-    def verdict(self) -> tuple[Kernel | None, Array]:
-        """The robust kernel on the edges from sightings, and the trust (M,) in each sighting of the log, 1 by default."""
+    def verdict(self) -> tuple[Kernel | None, Array, Array]:
+        """The robust kernel on the edges from sightings, the trust (M,) in each sighting of the log, 1 by default, and the
+        sightings (M, 2 or 3) at which their noise is evaluated."""
         assert self.log is not None
         family = next(family for family in self.families if isinstance(family, SightingEdges))
-        trust = np.ones(len(self.log.steps))
-        trust[self.sighting_rows] = family.trusted
-        return family.kernel, trust
+        trust, noisy = np.ones(len(self.log.steps)), self.log.sightings.copy()
+        trust[self.sighting_rows], noisy[self.sighting_rows] = family.trusted, family.noisy
+        return family.kernel, trust, noisy
 
     def map_from(self, poses: Array) -> LandmarkMap:
-        """The map of the log from a trajectory (T+1, 3), with the graph's sensor, kernel and trust."""
+        """The map of the log from a trajectory (T+1, 3), with the graph's sensor, kernel, trust and noise."""
         assert self.log is not None
-        kernel, trust = self.verdict
-        return estimate_map(self.log, poses, sensor=self.sensor, kernel=kernel, trust=trust)
+        kernel, trust, noisy = self.verdict
+        return estimate_map(self.log, poses, sensor=self.sensor, kernel=kernel, trust=trust, noise_at=noisy)
 
     def trajectory_of(self, state: Array) -> tuple[Array, np.ndarray]:
         """All poses (T+1, 3) of a state, with the initial guess where a pose is no node, and which ones are (T+1,)."""

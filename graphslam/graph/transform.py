@@ -234,7 +234,8 @@ def relative_graph(graph: Graph, *, state: Array | None = None) -> Graph:
     """The graph with every edge as a relative pose or relative point, for `Graph.save_g2o`.
 
     Poses keep their ids. Landmarks with a heading become poses, with ids above the others'. Files hold no robust
-    kernels, so a kernel becomes a factor on the information of each edge: its weight at the state.
+    kernels, so a kernel becomes a factor on the information of each edge: its weight at the state. They hold no parameters
+    of the robot either, which keep the values that they have in the graph.
 
     Args:
         graph: made by `Graph.from_log`, or a pose graph, which is returned unchanged.
@@ -247,7 +248,10 @@ def relative_graph(graph: Graph, *, state: Array | None = None) -> Graph:
     initial = graph.initial if state is None else checks.array_of("state", state).copy()
     families = tuple(_relative(family, initial) for family in graph.families)
     if graph.log is None or graph.landmark_dimension == 2:
-        return replace(graph, initial=initial, families=families, log=None, sensor=None, notes=())
+        # edges of a file know nothing of the robot's parameters
+        return replace(
+            graph, initial=initial, families=families, log=None, sensor=None, parameters=None, held=None, notes=()
+        )
     landmarks = int(graph.pose_ids.max()) + 1 + np.arange(len(graph.landmark_ids))
     ids = np.concatenate([graph.pose_ids, landmarks])
     steps = np.arange(graph.num_nodes)

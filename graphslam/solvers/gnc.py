@@ -35,7 +35,7 @@ from ..graph import Graph
 from ..graph.transform import poses_only, with_landmark_nodes
 from ..se2 import Array
 from .agreement import Trusted, grown_trust
-from .initialize import partial_edges, place_landmarks
+from .initialize import image_notes, partial_edges, place_landmarks
 from .iteration import refuse, rough
 from .joint import corrected
 from .minimize import minimize
@@ -92,7 +92,7 @@ def solve_gnc(graph: Graph, initialize: str, tolerance: float, *, max_rounds: in
         converged=solution.converged and best.settled,
         reason=solution.reason if best.settled else partly,
         seconds=time.perf_counter() - begin,
-        notes=(*graph.notes, note),
+        notes=(*graph.notes, *image_notes(weighted, solution.state), note),
         trust=in_sightings,
         other_trust=found,
     )

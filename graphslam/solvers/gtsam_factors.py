@@ -18,7 +18,7 @@ from ..edges.robust import Kernel
 from ..errors import GraphError, checks
 from ..graph import Graph
 from ..graph.build import node_names
-from ..se2 import Array
+from ..se2 import Array, wrap
 
 #: how edges become factors
 FACTORS = ("fastest", "per-edge")
@@ -45,18 +45,27 @@ def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fa
     for family in graph.families:
         if isinstance(family, edges.RelativePoseEdges | edges.RelativePointEdges):
             _check_information(graph, family)
-    reference = graph.initial if reference is None else reference
+    reference = without_turns(graph.initial if reference is None else reference)
     made = gtsam.NonlinearFactorGraph()
     joined, families = _joined(graph, reference) if factors == "fastest" else ([], graph.families)
     each = (_factors_of(family, graph, reference, factors) for family in families)
-    for factor in chain(*each, joined):
+    for factor in chain(*each, joined, held_nodes(graph)):
         made.add(factor)
+    return made
+
+
+def held_nodes(graph: Graph) -> Iterator[gtsam.NonlinearFactor]:
+    """What keeps the fixed nodes where they are."""
     for node in graph.fixed.tolist():
         if node in graph.without_heading:
-            made.add(gtsam.NonlinearEqualityPoint2(node, gtsam.Point2(*graph.initial[node, :2])))
+            yield gtsam.NonlinearEqualityPoint2(node, gtsam.Point2(*graph.initial[node, :2]))
         else:
-            made.add(gtsam.NonlinearEqualityPose2(node, gtsam.Pose2(*graph.initial[node])))
-    return made
+            yield gtsam.NonlinearEqualityPose2(node, gtsam.Pose2(*graph.initial[node]))
+
+
+def without_turns(poses: Array) -> Array:
+    """Poses (n, 3) with headings in [-pi, pi): those of trajectories count turns, and factors take many for degrees."""
+    return np.column_stack([poses[:, :2], wrap(poses[:, 2])])
 
 
 def _check_information(graph: Graph, family: edges.RelativePoseEdges | edges.RelativePointEdges) -> None:
@@ -148,7 +157,7 @@ def _factors_of(
         for node, value, information in zip(family.nodes[:, None], family.values[:, None], family.information):
             yield _prior_factor(graph, node, value, information)
     elif isinstance(family, edges.AnchorEdges):
-        for i, x, information in _rows(family.nodes, family.values, family.information):
+        for i, x, information in _rows(family.nodes, without_turns(family.values), family.information):
             if information[:2].any():
                 yield factor_types.AnchorFactor(i, x, information)
             else:

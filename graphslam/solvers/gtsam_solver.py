@@ -32,8 +32,8 @@ from ..identification.corrections import corrected_controls, motion_slopes, move
 from ..models import RANGE_NOISES
 from ..se2 import Array, difference, turn_matrix, turned_by, wrap
 from .auto import DAMPED, best_end
-from .gtsam_factors import eliminated_landmarks, from_values, to_gtsam, to_values
-from .initialize import starting_state
+from .gtsam_factors import eliminated_landmarks, from_values, held_nodes, to_gtsam, to_values, without_turns
+from .initialize import image_notes, starting_state
 from .iteration import PROMISE, Run, rounding
 from .joint import JointGraph, controls_of
 from .minimize import FIRST, at_estimated_ranges, best_of_starts, takes_estimated_ranges
@@ -69,7 +69,7 @@ def _minimum(joint: JointGraph, state: Array, tolerance: float) -> Array:
     """The minimum of the graph frozen at a state (n + r, 3), as such a state."""
     (graph, nodes, _), (_, values) = joint.at(state), joint.parted(state)
     key = 2 * graph.num_nodes + len(graph.sighting_rows)
-    made, start = _factors(graph, nodes, key), to_values(graph, nodes)
+    made, start = _factors(graph, without_turns(nodes), key), to_values(graph, nodes)
     start.insert(eliminated_landmarks(graph, nodes, always=True))
     start.insert(key, np.array(values))
     optimizer = _undamped(made, start)
@@ -108,6 +108,8 @@ def _factors(graph: Graph, nodes: Array, key: int) -> gtsam.NonlinearFactorGraph
                 made.add(factor)
     noise = gtsam.noiseModel.Diagonal.Precisions(parameters.weights)
     made.add(gtsam.PriorFactorVector(key, parameters.means, noise))
+    for held in held_nodes(graph):
+        made.add(held)
     return made
 
 
@@ -246,7 +248,8 @@ def _solved(graph: Graph, initialize: str, tolerance: float, *, factors: str, ma
 
         search, begun = solve_jointly_with_gtsam, partial(Run, graph.initial, tolerance, max_iterations)
         found, run = best_of_starts(graph, solved, search, begun)
-        return make_solution(found, run, "gtsam", time.perf_counter() - begin)
+        images = image_notes(found, run.state)
+        return make_solution(found, run, "gtsam", time.perf_counter() - begin, notes=images)
     made = to_gtsam(graph, factors=factors)
     begin = time.perf_counter()
 
@@ -271,8 +274,9 @@ def _solved(graph: Graph, initialize: str, tolerance: float, *, factors: str, ma
 
     end = best_end(graph, run_from, DAMPED) if initialize == "auto" else None
     run = run_from(starting_state(graph, initialize)) if end is None else end.run
+    notes = _contents(made), *image_notes(graph, run.state)
     seconds, certificate = time.perf_counter() - begin, None if end is None else end.known_certificate
-    return make_solution(graph, run, "gtsam", seconds, notes=(_contents(made),), certificate=certificate)
+    return make_solution(graph, run, "gtsam", seconds, notes=notes, certificate=certificate)
 
 
 def _contents(factors: gtsam.NonlinearFactorGraph) -> str:

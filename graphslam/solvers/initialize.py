@@ -337,10 +337,11 @@ def doubtful_images(graph: Graph, state: Array) -> dict[int, float]:
 
 
 def image_notes(graph: Graph, state: Array) -> tuple[str, ...]:
-    """A note for each landmark with another place that is nearly as likely; see `doubtful_images`."""
+    """A note for each landmark of single numbers with another place that is nearly as likely; see `doubtful_images`."""
+    found = doubtful_images(graph, state) if partial_edges(graph) else {}
     return tuple(
         f"landmark {j} may be elsewhere, such as in its mirror image: the odds for this place are {odds:.3g} to 1"
-        for j, odds in doubtful_images(graph, state).items()
+        for j, odds in found.items()
     )
 
 

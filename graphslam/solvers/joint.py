@@ -289,7 +289,8 @@ class JointGraph:
             _, slopes = corrections.motion_slopes(parameters, corrections.corrected_controls(parameters))
             border += Border.of_motions(driven, nodes, held, slopes)
         priors, pulled = parameters.weights, parameters.values - parameters.means
-        return border + Border(np.zeros_like(border.mixed), np.diag(priors), -priors * pulled)
+        border += Border(np.zeros_like(border.mixed), np.diag(priors), -priors * pulled)
+        return border.beside(graph.fixed)
 
     @cached_property
     def _copies(self) -> BlockSystem:
@@ -309,6 +310,12 @@ class Border:
     def scaled(self, factor: float) -> Border:
         """The same with another factor on the information."""
         return self if factor == 1 else Border(self.mixed * factor, self.own * factor, self.gradient * factor)
+
+    def beside(self, fixed: np.ndarray) -> Border:
+        """The same beside nodes that are held, such as exact landmarks of a map: they do not follow the parameters."""
+        mixed = self.mixed.copy()
+        mixed[fixed] = 0.0
+        return Border(mixed, self.own, self.gradient)
 
     @classmethod
     def of_sightings(
@@ -420,6 +427,7 @@ def check_observable(joint: JointGraph, nodes: Array, values: Array) -> None:
     border = Border.of_sightings(joint._copies, graph, seen, nodes, nodes, seen.sightings)
     if (driven := motion_edges(graph)) is not None:
         border += Border.of_motions(driven, nodes, nodes, slopes)
+    border = border.beside(graph.fixed)
     known = np.diag(border.own)
     if still := [name for name, information in zip(parameters.names, known) if not information > 0]:
         raise GraphError(f"the log does not tell {' and '.join(still)}: nothing that was recorded depends on it")

@@ -18,7 +18,7 @@ from ..errors import GraphError, SlamError
 from ..graph import Graph
 from ..se2 import Array, difference, wrap
 from .auto import best_end
-from .initialize import image_notes, partial_edges, starting_state
+from .initialize import image_notes, starting_state
 from .iteration import METHODS, Iteration, Run
 from .joint import JointGraph, check_observable, corrected, finished, negative_information
 from .solution import Solution, make_solution
@@ -225,6 +225,6 @@ def minimize(
     cost = graph.cost(run.state) if cost is None else cost
     if cost < 0 and (text := negative_information(graph)) is not None:
         raise GraphError(text)
-    notes = image_notes(graph, run.state) if partial_edges(graph) else ()
+    notes = image_notes(graph, run.state)
     seconds = time.perf_counter() - begin
     return make_solution(graph, run, "graphslam", seconds, cost=cost, notes=notes, certificate=certificate)

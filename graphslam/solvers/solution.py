@@ -52,8 +52,8 @@ def solved_map(graph: Graph, state: Array, uncertainty: Uncertainty) -> Landmark
     """
     log = graph.log
     if not len(graph.landmark_ids):
-        if log is None:
-            raise OptionError("a graph without a log and without landmark nodes has no map")
+        if log is None or not len(graph.sighting_rows):
+            raise OptionError("the solution has no map: its graph has no landmark nodes and no sightings of a log")
         graph, state = _with_nodes(graph, log, state)
         uncertainty = Uncertainty(graph, state)
     poses, d = len(graph.steps), graph.landmark_dimension
@@ -89,8 +89,8 @@ def _with_nodes(graph: Graph, log: Log, state: Array) -> tuple[Graph, Array]:
     nodes = with_landmark_nodes(graph)
     assert nodes is not None
     ids = np.unique(log.landmarks[graph.sighting_rows])
-    marks = replace(sighted.marginal, noise_at=None).landmarks(state, state)
-    return replace(nodes, landmark_ids=ids, parameters=None, held=None), np.concatenate([state, marks])
+    marks = sighted.marginal.landmarks(state, state)
+    return replace(nodes, landmark_ids=ids), np.concatenate([state, marks])
 
 
 def _classes(log: Log | None) -> dict[int, str | int]:
@@ -115,7 +115,7 @@ class Solution:
         poses: (T+1, 3) [m, m, rad], headings in [-pi, pi); for a pose graph one row per pose id, by increasing id.
         estimated: (T+1,) bool; False for poses that are not part of the graph: their rows hold the initial guess.
         landmarks: {id: (x, y) or (x, y, heading)}; landmark nodes, or the map that `estimate_map` makes from the poses,
-            with the graph's robust kernel and its trust in the sightings.
+            with the graph's robust kernel, its trust in the sightings and their noise.
         cost: J at the solution, the sum of e' Omega e (without a factor 1/2), with the priors of estimated parameters; NaN
             with a lag, see `solve_online`.
         costs: J before the first step and after each one, as far as the solver reports it.
@@ -217,6 +217,8 @@ class Solution:
         if ids and not len(graph.landmark_ids):
             message = f"landmark {ids[0]} is no node of this graph; edges='landmark+motion' makes nodes of landmarks"
             raise OptionError(message)
+        if not nodes and not ids:
+            return np.zeros((0, 0))
         sizes = [3] * len(nodes) + [d] * len(ids)
         nodes += [first + int(np.searchsorted(graph.landmark_ids, id)) for id in ids]
         different, places = np.unique(nodes, return_inverse=True)
@@ -259,11 +261,11 @@ class Solution:
         """e' Omega e / (3 T) of all poses together but the first, given the first; 1 on average if consistent.
 
         Landmark nodes and estimated parameters are eliminated, so that their uncertainty counts; `scan_errors` do not count.
-        The truth must be in the frame of the graph, and known for all its poses.
+        The truth must be in the frame of the graph, and known for all its poses. NaN for a single pose.
         """
         graph = self._solved_graph
         errors = difference(self.state[: len(graph.steps)], np.asarray(true_poses, dtype=float)[graph.steps])
-        return self._uncertainty.joint_square(errors) / errors[1:].size
+        return self._uncertainty.joint_square(errors) / errors[1:].size if len(errors) > 1 else np.nan
 
     @property
     def residual_inflation(self) -> float:

@@ -72,10 +72,7 @@ class Uncertainty:
                 return None
             graph = replace(graph, parameters=graph.held)
         joint = JointGraph(graph)
-        border = joint.border(graph, self._state, self._state, scaled=True)
-        # nodes that are held, such as exact landmarks of a map, do not follow the parameters
-        border.mixed[graph.fixed] = 0.0
-        return JointFactor(joint, self._factor, border)
+        return JointFactor(joint, self._factor, joint.border(graph, self._state, self._state, scaled=True))
 
     @cached_property
     def _spread(self) -> Array:
@@ -117,7 +114,6 @@ class Uncertainty:
         for _ in range(samples):
             moved = control_noise_at_steps(parameters, rng)[rows]
             border = joint.border(graph, self._state, self._state, scaled=True, controls=moved)
-            border.mixed[graph.fixed] = 0.0
             mixed = np.ascontiguousarray(border.mixed[:, :, k])
             noise += border.own[k, k] - parameters.weights[k] - float(np.sum(mixed * self._factor.solve(mixed)))
         return noise / samples / max(1 / self.of_parameters[k, k] - parameters.weights[k], 1e-300)
@@ -134,8 +130,7 @@ class Uncertainty:
             return found
         for _ in range(samples):
             noise, slopes = noise_of_slopes(parameters, rng)
-            border = Border.of_motions(edges, self._state, self._state, np.dstack([slopes, -noise]))
-            border.mixed[graph.fixed] = 0.0
+            border = Border.of_motions(edges, self._state, self._state, np.dstack([slopes, -noise])).beside(graph.fixed)
             followed = self._factor.solve(np.ascontiguousarray(border.mixed[:, :, -1]))
             found += border.own[:-1, -1] - np.einsum("nik,ni->k", border.mixed[:, :, :-1], followed)
         return np.asarray(self.of_parameters @ found / samples)

@@ -289,3 +289,18 @@ def test_a_map_needs_landmark_nodes_motions_and_ids():
         Graph.from_log(LOG.replace(controls=None, dt=None), map=LOG.true_landmarks)
     with pytest.raises(GraphError, match="without ids"):
         Graph.from_log(LOG.replace(landmarks=np.full(len(LOG.steps), -1)), map=LOG.true_landmarks)
+
+
+@pytest.mark.parametrize("name", ["bearing_bias", "range_scale", "sensor_ahead", "wheel_scale"])
+@pytest.mark.parametrize("method", [solve, solve_with_gtsam])
+def test_an_exact_map_tells_the_parameters_of_the_robot(name, method):
+    log = simulate(seed=1, steps=40, clean=True)
+    log = log.replace(sightings=log.sightings + [0, 0.1, 0.1])
+    flat = {j: m[:2] for j, m in log.true_landmarks.items()}
+    nearly = LandmarkMap(flat, dict.fromkeys(flat, 1e-9 * np.eye(2)))
+    exact, other = (method(Graph.from_log(log, map=known, dimensions=2, estimate=[name])) for known in (flat, nearly))
+    assert exact.converged
+    assert exact.cost == pytest.approx(other.cost, rel=1e-5)
+    assert exact.parameters[name] == pytest.approx(other.parameters[name], abs=1e-5)
+    assert exact.parameters.deviations[name] == pytest.approx(other.parameters.deviations[name], rel=1e-4)
+    assert all(np.array_equal(exact.landmarks[j], flat[j]) for j in flat)

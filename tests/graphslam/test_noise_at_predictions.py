@@ -7,7 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from graphslam import Graph, OptionError, SensorModel, Solution, simulate, solve, solve_many, solve_with_gtsam
+from graphslam import (
+    Graph,
+    OptionError,
+    SensorModel,
+    Solution,
+    estimate_map,
+    simulate,
+    solve,
+    solve_many,
+    solve_with_gtsam,
+)
 from graphslam.factors import InverseObservationFactor, LandmarkFactor, ObservationFactor, VirtualMotionFactor, describe
 from graphslam.metrics import ate
 from graphslam.se2 import difference
@@ -94,6 +104,26 @@ def test_maps_of_clean_robots_keep_their_size() -> None:
     assert after < 0.95 * before
     before, after = np.mean(sizes, axis=0)
     assert before < 0.98 < after < 1.01
+
+
+@pytest.mark.parametrize(
+    ("uncertain", "estimate"), [(None, None), (None, ["range_scale:0.05"]), ({"range_scale": 0.05}, None)]
+)
+def test_maps_of_eliminated_landmarks_are_those_of_landmark_nodes(
+    uncertain: dict[str, float] | None, estimate: list[str] | None
+) -> None:
+    log = simulate(seed=1, steps=40, clean=True).replace(uncertain=uncertain)
+    nodes, marginal = (
+        solve(Graph.from_log(log, dimensions=2, edges=edges, weight=weight, estimate=estimate), range_noise="estimated")
+        for edges, weight in (("landmark+motion", "pairs"), ("virtual+motion", "marginal"))
+    )
+    again = estimate_map(log.without_orientation(), marginal)
+    for j, place in nodes.landmarks.items():
+        np.testing.assert_allclose(marginal.landmarks[j], place, atol=1e-6)
+        np.testing.assert_allclose(marginal.map[j], place, atol=1e-6)
+        if estimate is None:
+            np.testing.assert_allclose(again[j], place, atol=1e-6)
+    np.testing.assert_allclose(marginal.map.joint, nodes.map.joint, rtol=1e-5)
 
 
 @pytest.mark.parametrize("method", ["levenberg-marquardt", "gnc"])

@@ -13,6 +13,7 @@ from graphslam import (
     MotionModel,
     OptionError,
     SensorModel,
+    estimate_map,
     load,
     sample_log_path,
     simulate,
@@ -431,3 +432,10 @@ def test_estimates_are_written_with_the_digits_that_are_known() -> None:
     names = ("wheel_scale", "turn_rate_bias", "range_bias")
     found = ParameterEstimate(names, np.array([0.86981, -0.003104, 0.2]), np.diag([0.0171, 0.0046, 0.0]) ** 2, {})
     assert found.sentence == "wheel_scale 0.870 +- 0.017, turn_rate_bias -0.0031 +- 0.0046 rad/s, range_bias 0.2 +- 0 m"
+
+
+def test_the_map_of_the_recorded_log_has_no_biases(biased: Log) -> None:
+    options = {"edges": "virtual+motion", "weight": "marginal", "kernel": "none"}
+    solution = solve(Graph.from_log(biased, estimate=list(BIASES), **options))
+    found = estimate_map(biased, solution)
+    assert all(np.allclose(found[j], place) for j, place in solution.landmarks.items())

@@ -432,3 +432,17 @@ def test_graphs_in_space_are_refused_as_such(tmp_path, reads):
     path = written(tmp_path, "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n")
     with pytest.raises(FormatError, match="in space; the graphs of this project are in the plane"):
         reads(path)
+
+
+def test_poses_that_files_hold_are_no_unknowns(tmp_path):
+    rng, count = np.random.default_rng(0), 40
+    lines = [f"VERTEX_SE2 {k} {k} 0 0" for k in range(count)] + [f"FIX {k}" for k in range(0, count, 2)]
+    for k, (x, y, turn) in enumerate(0.1 * rng.standard_normal((count - 1, 3))):
+        lines.append(f"EDGE_SE2 {k} {k + 1} {1 + x} {y} {turn} 100 0 0 100 0 100")
+    path = tmp_path / "held.g2o"
+    path.write_text("\n".join(lines))
+    graph = Graph.from_g2o(path)
+    assert graph.degrees_of_freedom == 3 * (count - 1) - 3 * count // 2
+    solution = solve(graph)
+    assert solution.cost < 2 * graph.expected_cost
+    assert not any("J is" in note for note in solution.notes)

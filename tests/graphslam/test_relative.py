@@ -120,3 +120,14 @@ def test_a_kernel_is_exported_as_its_weights(options, kernel, tmp_path):
     plain = solve(Graph.from_log(log, sensor=faultless, **options))
     moved, harm = (np.abs(other[:, :2] - solution.poses[:, :2]).max() for other in (again.poses[:41], plain.poses))
     assert moved < 0.1 * harm
+
+
+@pytest.mark.parametrize("estimate", [None, ["range_scale"]])
+def test_parameters_of_the_robot_keep_their_values(estimate):
+    log = simulate(seed=3, steps=30, clean=True).replace(uncertain={"range_scale": 0.05})
+    found = solve(Graph.from_log(log, edges="landmark+motion", dimensions=2, estimate=estimate))
+    again = solve(relative_graph(found.graph, state=found.state), initialize="given")
+    assert again.cost == pytest.approx(found.cost)
+    np.testing.assert_allclose(again.state, found.state, atol=1e-6)
+    # what is unknown of the scale is no part of the edges
+    assert np.all(np.diag(found.covariance(20)) > np.diag(again.covariance(20)))

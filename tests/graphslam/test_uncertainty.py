@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 from error_rates import bound
 
-from graphslam import Drive, Graph, MotionModel, OptionError, SensorModel, load, sample_log_path, simulate, solve
+from graphslam import (
+    AbsolutePositions,
+    Drive,
+    Graph,
+    MotionModel,
+    OptionError,
+    SensorModel,
+    load,
+    sample_log_path,
+    simulate,
+    solve,
+)
 from graphslam.metrics import ate
 from graphslam.se2 import wrap
 from graphslam.solvers.gtsam_solver import to_gtsam, to_values
@@ -151,3 +162,16 @@ def test_a_solution_can_be_pickled_when_its_covariances_are_known(estimate: tupl
         assert other.landmark_covariances.keys() == landmarks.keys() and other.map.keys() == place.keys()
     graph = pickle.loads(pickle.dumps(solution.graph))
     assert solve(graph).cost == pytest.approx(solution.cost, rel=1e-9)
+
+
+def test_what_is_empty_has_an_answer_or_a_reason():
+    log = simulate(seed=1, steps=20, clean=True)
+    solution = solve(Graph.from_log(log, edges="landmark+motion"))
+    assert solution.covariance([], joint=True).shape == (0, 0)
+    assert solve(Graph.from_log(log.at_steps([0]))).joint_nees(log.true_poses[:1]) is np.nan
+    places = log.true_poses[[0, 10, 20], :2]
+    positions = AbsolutePositions(steps=[0, 10, 20], places=places, covariances=np.tile(0.01 * np.eye(2), (3, 1, 1)))
+    unseen = log.with_sightings(np.zeros(len(log.steps), dtype=bool), positions=positions)
+    for edges in ("landmark+motion", "virtual+motion"):
+        with pytest.raises(OptionError, match="has no map"):
+            _ = solve(Graph.from_log(unseen, edges=edges)).map
