@@ -285,7 +285,9 @@ class Localizer:
         self._anchored = fix is not None
         self.tracker: Tracker | None = None
         if start is not None:
-            self.tracker = Tracker(self._landmarks, self._sensor, start, covariance if fix is None else fix.covariance)
+            known = covariance if fix is None else fix.covariance
+            # landmarks that have left the map keep their ids
+            self.tracker = Tracker(self._landmarks, self._sensor, start, known, max(self._given))
             if fix is None:
                 self.tracker.place(start, covariance, np.inf)
         self._motions: list[Array] = []
