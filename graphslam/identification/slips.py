@@ -33,7 +33,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..errors import GraphError
+from ..errors import GraphError, LogError
 from ..linear.cholesky import Factor
 from ..log import Log
 from ..models import additional_variances
@@ -306,10 +306,17 @@ class Uneven:
 
 
 def levelled(log: Log, uneven: Iterable[Uneven]) -> Log:
-    """The log with the controls u - difference |u| / 2."""
+    """The log with the controls u - difference |u| / 2.
+
+    Raises:
+        LogError: there are no controls to correct.
+    """
     if not (uneven := tuple(uneven)):
         return log
-    assert log.controls is not None
+    if log.controls is None:
+        raise LogError(
+            f"{log.name} has no controls, and scales that differ between two directions cannot be taken out of them"
+        )
     controls, sizes = log.controls.copy(), magnitudes(log)
     for each in uneven:
         controls[:, each.column] -= each.difference / 2 * sizes[:, each.column]

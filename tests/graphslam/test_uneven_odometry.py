@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from comparisons.show.language import translated
-from graphslam import Drive, Graph, Log, estimate_robot, solve
+from graphslam import Drive, Graph, Log, LogError, estimate_robot, solve
 from graphslam.identification.slips import Uneven, levelled
 from graphslam.identification.unknowns import Unknowns
 from graphslam.metrics import ate
@@ -30,6 +30,10 @@ def test_controls_are_levelled_by_their_direction() -> None:
     still = levelled(log.replace(controls=noise), [Uneven(0, 1.0, 0.0)]).controls
     assert abs(np.mean(still[:, 0] - noise[:, 0])) < 0.4 * abs(np.mean(np.abs(noise[:, 0])) / 2)
     assert levelled(log, ()) is log
+    poses_alone = log.replace(controls=None, dt=None)
+    assert levelled(poses_alone, ()) is poses_alone
+    with pytest.raises(LogError, match="back and forth has no controls, and scales that differ"):
+        levelled(poses_alone, [Uneven(1, 0.1, 0.0)])
 
 
 def test_the_derivatives_are_those_of_finite_differences() -> None:
