@@ -106,8 +106,11 @@ class Localizer:
         self._see(pose, ids, sightings)
         try:
             if (found := self._found()) is not None:
-                # what seemed to have moved may have been the place where it was put down
-                self._again(fixes=self.fixes | dict([found]), **self._without({}))
+                # what seemed to have moved may have been the place where it was put down; in a long drive it stays out,
+                # because it could not be left out again
+                out = {j: size for j, size in self._moved.items() if j not in self._declared}
+                kept = out if len(self._rows) > MOST_AGAIN else {}
+                self._again(fixes=self.fixes | dict([found]), **self._without(kept))
                 return
         except BaseException:
             self._calls.pop()
