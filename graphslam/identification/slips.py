@@ -293,15 +293,21 @@ class Uneven:
     @property
     def sentence(self) -> str:
         """For the notes of an estimate."""
-        size = f"{100 * self.difference:+.2g} % (standard error {100 * self.error:.1g} %)"
+        size = f"{100 * abs(self.difference):.2g} % (standard error {100 * self.error:.1g} %)"
         if self.column:
+            larger = "left turns are recorded larger than right ones by"
+            if self.difference < 0:
+                larger = "right turns are recorded larger than left ones by"
             return (
-                f"left turns are recorded larger than right ones by {size}, as where one of two wheels slips more. They are "
-                "corrected in this log, and files of the robot do not contain the correction"
+                f"{larger} {size}, as where one of two wheels slips more. They are corrected in this log, and files of the "
+                "robot do not contain the correction"
             )
+        larger = "forward speeds are recorded larger than backward ones by"
+        if self.difference < 0:
+            larger = "backward speeds are recorded larger than forward ones by"
         return (
-            f"forward speeds are recorded larger than those in reverse by {size}, as where wheels slip more in reverse. "
-            "They are corrected in this log, and files of the robot do not contain the correction"
+            f"{larger} {size}, as where wheels slip more in that direction. They are corrected in this log, and files of the "
+            "robot do not contain the correction"
         )
 
 

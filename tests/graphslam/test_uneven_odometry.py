@@ -49,6 +49,17 @@ def test_the_derivatives_are_those_of_finite_differences() -> None:
         np.testing.assert_allclose(by_differences[:, :, column], (plus - minus) / (2 * h), atol=1e-5)
 
 
+@pytest.mark.parametrize("column", [0, 1])
+def test_the_sentence_names_the_direction_that_is_larger(column: int) -> None:
+    """One that was smaller was said to be larger by a negative percentage."""
+    larger, smaller = (Uneven(column, sign * 0.05, 0.01).sentence for sign in (1, -1))
+    first, second = (("forward speeds", "backward speeds"), ("left turns", "right turns"))[column]
+    assert larger.startswith(f"{first} are recorded larger than ") and " by 5 % (standard error 1 %)" in larger
+    assert smaller.startswith(f"{second} are recorded larger than ") and " by 5 % (standard error 1 %)" in smaller
+    for each in (larger, smaller):
+        assert translated(each, "ja").count("標準誤差1 %") == 1
+
+
 @pytest.mark.parametrize(("seed", "column", "size"), [(1004, 1, 0.1), (1007, 1, 0.1)])
 def test_unequal_turns_are_found_and_corrected(seed: int, column: int, size: float) -> None:
     right, _ = replace(Drive.random(seed), duration=150.0).simulate()
