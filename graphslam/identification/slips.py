@@ -33,7 +33,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..errors import GraphError
+from ..errors import GraphError, LogError
 from ..linear.cholesky import Factor
 from ..log import Log
 from ..models import additional_variances
@@ -293,23 +293,36 @@ class Uneven:
     @property
     def sentence(self) -> str:
         """For the notes of an estimate."""
-        size = f"{100 * self.difference:+.2g} % (standard error {100 * self.error:.1g} %)"
+        size = f"{100 * abs(self.difference):.2g} % (standard error {100 * self.error:.1g} %)"
         if self.column:
+            larger = "left turns are recorded larger than right ones by"
+            if self.difference < 0:
+                larger = "right turns are recorded larger than left ones by"
             return (
-                f"left turns are recorded larger than right ones by {size}, as where one of two wheels slips more. They are "
-                "corrected in this log, and files of the robot do not contain the correction"
+                f"{larger} {size}, as where one of two wheels slips more. They are corrected in this log, and files of the "
+                "robot do not contain the correction"
             )
+        larger = "forward speeds are recorded larger than backward ones by"
+        if self.difference < 0:
+            larger = "backward speeds are recorded larger than forward ones by"
         return (
-            f"forward speeds are recorded larger than those in reverse by {size}, as where wheels slip more in reverse. "
-            "They are corrected in this log, and files of the robot do not contain the correction"
+            f"{larger} {size}, as where wheels slip more in that direction. They are corrected in this log, and files of the "
+            "robot do not contain the correction"
         )
 
 
 def levelled(log: Log, uneven: Iterable[Uneven]) -> Log:
-    """The log with the controls u - difference |u| / 2."""
+    """The log with the controls u - difference |u| / 2.
+
+    Raises:
+        LogError: there are no controls to correct.
+    """
     if not (uneven := tuple(uneven)):
         return log
-    assert log.controls is not None
+    if log.controls is None:
+        raise LogError(
+            f"{log.name} has no controls, and scales that differ between two directions cannot be taken out of them"
+        )
     controls, sizes = log.controls.copy(), magnitudes(log)
     for each in uneven:
         controls[:, each.column] -= each.difference / 2 * sizes[:, each.column]

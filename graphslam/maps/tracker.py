@@ -113,9 +113,14 @@ class Tracker:
         since, expected: the step at which it left 0 last, and the pose and covariance before that.
         squares: the last d² of sightings with a landmark.
         against: {landmark: how many of its sightings in a row contradict, up to the last one}.
+
+    Args:
+        newest: no landmark that the map lacks has a larger id.
     """
 
-    def __init__(self, landmarks: LandmarkMap, sensor: SensorModel, pose: Array, covariance: Array) -> None:
+    def __init__(
+        self, landmarks: LandmarkMap, sensor: SensorModel, pose: Array, covariance: Array, newest: int = UNIDENTIFIED
+    ) -> None:
         self.squares: deque[float] = deque(maxlen=WINDOW)
         self.against: dict[int, int] = {}
         self._sensor = sensor
@@ -128,7 +133,8 @@ class Tracker:
         self._count = np.zeros(len(places), dtype=np.int64)
         self._area = area_of(self._places)
         self.place(pose, covariance)
-        self._newest = int(self._ids.max())
+        #: the largest id so far: new landmarks have larger ones
+        self._newest = max(newest, int(self._ids.max()))
         self._unknown: list[_Unknown] = []
         #: the farthest range and the widest bearing at which something was seen
         self._reach = self._wide = 0.0
@@ -176,6 +182,7 @@ class Tracker:
             J = lever_matrix(perpendicular(q - back[0][:2]))[:, :2]
             C = C + J @ back[1] @ np.swapaxes(J, 1, 2)
         seen = Seen(np.array(ids), np.zeros(count, dtype=bool), np.zeros(count, dtype=bool), {})
+        self._newest = max([self._newest, *ids.tolist()])
         gain = 0.0
         for n in np.flatnonzero(seen.landmarks != UNIDENTIFIED).tolist():
             if (k := self._number.get(int(ids[n]))) is not None:

@@ -147,7 +147,8 @@ def _followed(log: Log, drive: Stretch, landmarks: LandmarkMap, leave_out: bool)
         if not log.identified:
             raise GraphError(f"{log.name} has no controls, and sightings without ids need them in a map")
         return result
-    tracker = Tracker(landmarks, drive.sensor, fix.pose, fix.covariance)
+    newest = int(drive.landmarks.max(initial=UNIDENTIFIED))
+    tracker = Tracker(landmarks, drive.sensor, fix.pose, fix.covariance, newest)
     # each search that finds nothing, as in a map that is wrong, makes the next ones rarer
     rows_at, step, last, tried, least = drive.rows_at, 0, 0, DOUBT, DOUBT
     while True:

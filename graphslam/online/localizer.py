@@ -106,8 +106,11 @@ class Localizer:
         self._see(pose, ids, sightings)
         try:
             if (found := self._found()) is not None:
-                # what seemed to have moved may have been the place where it was put down
-                self._again(fixes=self.fixes | dict([found]), **self._without({}))
+                # what seemed to have moved may have been the place where it was put down; in a long drive it stays out,
+                # because it could not be left out again
+                out = {j: size for j, size in self._moved.items() if j not in self._declared}
+                kept = out if len(self._rows) > MOST_AGAIN else {}
+                self._again(fixes=self.fixes | dict([found]), **self._without(kept))
                 return
         except BaseException:
             self._calls.pop()
@@ -285,7 +288,9 @@ class Localizer:
         self._anchored = fix is not None
         self.tracker: Tracker | None = None
         if start is not None:
-            self.tracker = Tracker(self._landmarks, self._sensor, start, covariance if fix is None else fix.covariance)
+            known = covariance if fix is None else fix.covariance
+            # landmarks that have left the map keep their ids
+            self.tracker = Tracker(self._landmarks, self._sensor, start, known, max(self._given))
             if fix is None:
                 self.tracker.place(start, covariance, np.inf)
         self._motions: list[Array] = []

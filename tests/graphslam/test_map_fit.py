@@ -337,3 +337,45 @@ def test_noise_that_shrinks_worlds_is_no_doubt_of_the_map(seed):
     assert not doubts(log, known)
     log, known = drive(seed, sensor=SensorModel(range_rate=0.2, range_std=0, bearing_std=0.02))
     assert not doubts(log, known)
+
+
+@pytest.mark.parametrize("most_again", [0, 3000])
+def test_moved_landmarks_stay_out_of_the_map_of_a_robot_that_is_lifted(most_again, monkeypatch):
+    """In a long drive they came back to the map, which was not gone through again without them."""
+    log, known = drive(8)
+    wrong = {j: place + (0.7, -0.5) if j < 2 else place for j, place in known.items()}
+    robot = OnlineSolver(map=LandmarkMap(wrong, {j: 0.03**2 * np.eye(2) for j in wrong}), **ROBOT)
+    for step in (*range(40), *range(60, 80)):
+        if step == 60:
+            assert "landmarks 0 and 1" in of_moved(robot)[0]
+            monkeypatch.setattr("graphslam.online.localizer.MOST_AGAIN", most_again)
+        if step:
+            robot.move(log.controls[step - 1], log.dt[step - 1])
+        now = log.steps == step
+        robot.observe(log.landmarks[now], log.sightings[now])
+    assert sorted(robot._backend.fixes) == [0, 40]
+    assert "landmarks 0 and 1" in of_moved(robot)[0] and "The map counts without" in of_moved(robot)[0]
+    for j in range(2):
+        assert np.hypot(*(robot.landmarks[j] - known[j])) < 0.1
+
+
+@pytest.mark.parametrize("moved", [True, False])
+def test_new_landmarks_get_ids_that_no_other_one_has(moved):
+    """A landmark that had left the map had its id given to another one, as had one that is not in the map, but in the log."""
+    log, known = drive(7)
+    last, without_id = max(known), 4
+    ids = np.where(log.landmarks == without_id, UNIDENTIFIED, log.landmarks)
+    wrong = {j: place for j, place in known.items() if j not in (without_id, last)}
+    if moved:
+        wrong[last] = known[last] + (0.7, -0.5)
+    given = LandmarkMap(wrong, {j: 0.05**2 * np.eye(2) for j in wrong})
+    robot, _ = driven(log.replace(landmarks=ids), given)
+    found = [robot.landmarks]
+    if moved:
+        assert f"landmark {last}" in of_moved(robot)[0]
+    else:
+        # while driving nobody knows which ids come later
+        found = [solve(Graph.from_log(log.replace(landmarks=ids), map=given, dimensions=2)).landmarks]
+    for landmarks in found:
+        assert np.hypot(*(landmarks[last][:2] - known[last])) < 0.1
+        assert np.hypot(*(landmarks[last + 1][:2] - known[without_id])) < 0.1

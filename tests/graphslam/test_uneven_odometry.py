@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from comparisons.show.language import translated
-from graphslam import Drive, Graph, Log, estimate_robot, solve
+from graphslam import Drive, Graph, Log, LogError, estimate_robot, solve
 from graphslam.identification.slips import Uneven, levelled
 from graphslam.identification.unknowns import Unknowns
 from graphslam.metrics import ate
@@ -30,6 +30,10 @@ def test_controls_are_levelled_by_their_direction() -> None:
     still = levelled(log.replace(controls=noise), [Uneven(0, 1.0, 0.0)]).controls
     assert abs(np.mean(still[:, 0] - noise[:, 0])) < 0.4 * abs(np.mean(np.abs(noise[:, 0])) / 2)
     assert levelled(log, ()) is log
+    poses_alone = log.replace(controls=None, dt=None)
+    assert levelled(poses_alone, ()) is poses_alone
+    with pytest.raises(LogError, match="back and forth has no controls, and scales that differ"):
+        levelled(poses_alone, [Uneven(1, 0.1, 0.0)])
 
 
 def test_the_derivatives_are_those_of_finite_differences() -> None:
@@ -43,6 +47,17 @@ def test_the_derivatives_are_those_of_finite_differences() -> None:
             for each in (levelled(few, [Uneven(column, sign * h, 0.0)]) for sign in (1, -1))
         )
         np.testing.assert_allclose(by_differences[:, :, column], (plus - minus) / (2 * h), atol=1e-5)
+
+
+@pytest.mark.parametrize("column", [0, 1])
+def test_the_sentence_names_the_direction_that_is_larger(column: int) -> None:
+    """One that was smaller was said to be larger by a negative percentage."""
+    larger, smaller = (Uneven(column, sign * 0.05, 0.01).sentence for sign in (1, -1))
+    first, second = (("forward speeds", "backward speeds"), ("left turns", "right turns"))[column]
+    assert larger.startswith(f"{first} are recorded larger than ") and " by 5 % (standard error 1 %)" in larger
+    assert smaller.startswith(f"{second} are recorded larger than ") and " by 5 % (standard error 1 %)" in smaller
+    for each in (larger, smaller):
+        assert translated(each, "ja").count("標準誤差1 %") == 1
 
 
 @pytest.mark.parametrize(("seed", "column", "size"), [(1004, 1, 0.1), (1007, 1, 0.1)])
