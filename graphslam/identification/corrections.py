@@ -305,13 +305,12 @@ def _means(total: Array, ends: Array, times: Array, window: float) -> Array:
     return (np.interp(until, ends, total) - np.interp(since, ends, total)) / (until - since)
 
 
-def magnitudes(log: Log) -> Array:
-    """|u| (S, 2) of the recorded controls, averaged for `LONGEST` before and after: noise about zero is no motion."""
+def averaged_controls(log: Log) -> Array:
+    """The recorded controls (S, 2), averaged for `LONGEST` before and after: noise about zero is no motion."""
     assert log.controls is not None and log.dt is not None
     ends = log.control_times
     middles = (ends[:-1] + ends[1:]) / 2
-    columns = [_means(_summed(each * log.dt), ends, middles, LONGEST) for each in log.controls.T]
-    return np.abs(np.column_stack(columns))
+    return np.column_stack([_means(_summed(each * log.dt), ends, middles, LONGEST) for each in log.controls.T])
 
 
 def corrected_log(parameters: Parameters) -> Log:

@@ -26,12 +26,12 @@ from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, chained, perpendicular, turn_matrix
 from .corrections import (
+    averaged_controls,
     averaging_times,
     changes_within,
     controls_at_steps,
     corrected_controls,
     honest_variances,
-    magnitudes,
     motion_slopes,
     smoothed_controls,
 )
@@ -204,7 +204,9 @@ class Odometry:
     def by_differences(self, parameters: Parameters, steps: np.ndarray) -> Array:
         """The derivative (n, 3, 2) of the motions between poses by `Uneven.difference` of speeds and of turn rates."""
         everything, inside = replace(parameters, recorded=self.log), slice(steps[0], steps[-1])
-        motions, slopes = motion_slopes(everything, corrected_controls(everything), scaled=magnitudes(self.log) / 2)
+        motions, slopes = motion_slopes(
+            everything, corrected_controls(everything), scaled=np.abs(averaged_controls(self.log)) / 2
+        )
         scales = [parameters.names.index(name) for name in ("wheel_scale", "turn_scale")]
         levers = _joined(motions[inside], steps - steps[0])[1]
         return np.add.reduceat(levers @ slopes[inside][:, :, scales], steps[:-1] - steps[0])

@@ -38,7 +38,7 @@ from ..linear.cholesky import Factor
 from ..log import Log
 from ..models import additional_variances
 from ..se2 import Array, perpendicular
-from .corrections import magnitudes
+from .corrections import averaged_controls
 from .odometry import Edges, Odometry
 from .restricted_likelihood import fit, gain_over, scores
 from .unknowns import Unknowns
@@ -70,6 +70,8 @@ BIASES = (0.0, 0.1, 0.01, 0.1)
 #: a z above the first number suggests a difference between two directions, which counts where the log likelihood gains the
 #: second; and rounds of solving and improving the variances
 SUGGESTED, GAINED, ROUNDS = 3.5, 12.5, 8
+#: the least part of the way, or of all turns, in each direction: on a circle |u| is u, and a difference is a scale
+BOTH_WAYS = 0.05
 #: the median of the absolute value of a standard normal number
 MEDIAN = 0.6745
 
@@ -323,7 +325,7 @@ def levelled(log: Log, uneven: Iterable[Uneven]) -> Log:
         raise LogError(
             f"{log.name} has no controls, and scales that differ between two directions cannot be taken out of them"
         )
-    controls, sizes = log.controls.copy(), magnitudes(log)
+    controls, sizes = log.controls.copy(), np.abs(averaged_controls(log))
     for each in uneven:
         controls[:, each.column] -= each.difference / 2 * sizes[:, each.column]
     return log.replace(controls=controls)
@@ -331,7 +333,11 @@ def levelled(log: Log, uneven: Iterable[Uneven]) -> Log:
 
 def uneven_of(fitted: Unknowns) -> Uneven | None:
     """The larger difference between two directions of the odometry, if any; ``fitted`` is the solution with few sightings."""
-    z, differences, _ = _differences(fitted)
+    log, (z, differences, _) = fitted.odometry.log, _differences(fitted)
+    assert log.dt is not None
+    ways = averaged_controls(log) * log.dt[:, None]
+    least = np.minimum(np.maximum(ways, 0).sum(axis=0), np.maximum(-ways, 0).sum(axis=0))
+    z = np.where(least > BOTH_WAYS * np.abs(ways).sum(axis=0), z, 0.0)
     column = int(np.argmax(z))
     if z[column] < SUGGESTED:
         return None
@@ -342,7 +348,7 @@ def uneven_of(fitted: Unknowns) -> Uneven | None:
         start.odometry = Odometry(log)
         return fit(Unknowns(fitted.log, fitted.log.landmarks, fitted.sensor, start), ROUNDS)[0]
 
-    even, same = again(levelled(fitted.odometry.log, [found])), again(fitted.odometry.log)
+    even, same = again(levelled(log, [found])), again(log)
     if gain_over(even, same) < GAINED:
         return None
     _, rest, errors = _differences(even)
