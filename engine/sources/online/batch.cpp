@@ -96,8 +96,19 @@ std::vector<double> lower_state(const BatchProblem& problem, bool damped_only) {
 
 }  // namespace
 
-// The correction is too large for undamped passes: the step is undone, the batch solver solves the graph, and the tree is
-// built anew where that has ended.
+/// Put all nodes at these values and linearise their edges there, in the tree that there is.
+bool OnlineSystem::move_to(std::span<const Triple> x) {
+    for (const Id k : graph_.live_nodes()) {
+        Node& node = graph_.nodes[k];
+        node.keep(tree_.step);
+        node.x = x[k];
+        node.axes = Rotation(x[k][2]);
+    }
+    return factorize_all();
+}
+
+// The correction is too large for undamped passes: the step is undone, the batch solver solves the graph, and the edges are
+// linearised where that has ended.
 bool OnlineSystem::solve_as_batch(std::span<const Id> newest) {
     ++batch_solutions;
     for (Node& node : graph_.nodes)
@@ -108,7 +119,7 @@ bool OnlineSystem::solve_as_batch(std::span<const Id> newest) {
     for (std::size_t k = 0; k < found.size() / 3; ++k) std::copy_n(found.begin() + 3 * k, 3, start[problem.nodes[k]].begin());
     // where passes have failed, second derivatives of all edges did not help
     memory_.bent.edges = usual_bent().edges;
-    if (begin_at(start, newest) && descends(newest)) return true;
+    if ((move_to(start) || begin_at(start, newest)) && descends(newest)) return true;
     begin_at(start, newest);
     return false;
 }

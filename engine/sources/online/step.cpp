@@ -40,6 +40,10 @@ constexpr int held = 3;
 constexpr double forget = 0.9;
 /// Passes end where one predicts a decrease of more than this many times J.
 constexpr double hopeless = 10.0;
+/// From the pass `patient` on they end where one predicts more than this part of what the third one before it predicted, and as
+/// many edges as the graph has were linearised again: a batch solution then takes less time than more passes.
+constexpr double stuck = 0.7;
+constexpr int patient = 6;
 /// The next pass is assumed to predict at least this part of what this one predicts.
 constexpr double least_left = 0.3;
 /// All nodes are ordered again where there are this many times as many as when they were ordered last.
@@ -163,6 +167,9 @@ OnlineSystem::Outcome OnlineSystem::advance(int& done) {
         progress.renewed = !pass.late.empty() || !above.empty();
         if (ends && !progress.renewed) return Outcome::done;
         ++done;
+        progress.linearized += pass.late.size();
+        const double earlier = std::exchange(progress.earlier[done % 3], pass.predicted);
+        if (done >= patient && pass.predicted > stuck * earlier && progress.linearized > graph_.edges.size()) break;
         while (progress.renewed && !factorize_late(pass.late, above)) {
             if (m.hold > 0) return Outcome::indefinite;
             m.bent.convex = true;

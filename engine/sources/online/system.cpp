@@ -115,16 +115,22 @@ void OnlineSystem::relinearize(std::span<const Id> newest) {
     if (!converged) begin_at(places(), newest);
 }
 
+/// Linearise all edges and priors where the nodes are, in the tree that there is; false where there is none, or no factor.
+bool OnlineSystem::factorize_all() {
+    if (lost_) return false;
+    std::vector<Prior*> priors;
+    for (Prior& prior : priors_) priors.push_back(&prior);
+    const std::vector<Id> above = renew_priors(priors);
+    return factorize_late(graph_.live_edges(), above);
+}
+
 /// The factor of Gauss-Newton at the estimate, without second derivatives; returns whether there is one.
 bool OnlineSystem::factorize_again(std::span<const Id> newest) {
     complete();
     const std::vector<Triple> x = places();
     memory_.bent.edges = Bent::Edges::none;
-    const std::vector<Id> nodes = graph_.live_nodes(), edges = graph_.live_edges();
-    std::vector<Prior*> priors;
-    for (Prior& prior : priors_) priors.push_back(&prior);
-    const std::vector<Id> above = renew_priors(priors);
-    bool good = !lost_ && (factorize_late(edges, above) || eliminate({nodes, {}, newest, {}}));
+    const std::vector<Id> nodes = graph_.live_nodes();
+    bool good = factorize_all() || (!lost_ && eliminate({nodes, {}, newest, {}}));
     good = good || begin_at(x, newest);
     memory_.bent.edges = usual_bent().edges;
     // second derivatives may make it definite, so that steps can go on

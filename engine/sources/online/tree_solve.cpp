@@ -147,10 +147,7 @@ void Tree::move(Graph& graph, Supernode& group, const double* m) {
                        all_zero(y, 3 * group.wide);
     for (Id q = 0; q < group.w; ++q) {
         Node& node = graph.nodes[group.nodes[q]];
-        if (node.changed != step) {
-            node.changed = step;
-            node.kept = node.x;
-        }
+        node.keep(step);
         if (still) {
             node.x = node.base;
             node.axes = node.base_axes;

@@ -8,6 +8,9 @@ namespace {
 
 /// The damping with which steps with second derivatives begin where those without any fail.
 constexpr double least_damping = 1e-6;
+/// A good step multiplies the damping by at least this, Nielsen's part; with second derivatives by less, because good steps are
+/// those where the damping is hardly needed any more.
+constexpr double eased = 1.0 / 3, eased_curved = 0.1;
 
 /// Whether the iteration ends here: an undamped Gauss-Newton step promises little, too, or Omega is singular (not converged).
 bool confirmed_end(Objective& objective, Run& run) {
@@ -85,7 +88,7 @@ bool levenberg_marquardt(Objective& objective, Run& run, int most, bool curved) 
             }
         }
         const double gain = negligible ? 1.0 : (cost - trial.cost) / trial.predicted, bent = 2 * gain - 1;
-        damping = std::max(damping * std::max(1.0 / 3, 1 - bent * bent * bent), 1e-15);
+        damping = std::max(damping * std::max(curved ? eased_curved : eased, 1 - bent * bent * bent), 1e-15);
         growth = 2.0;
         run.step(cost, trial.delta);
         // a short step counts only where damping does not shorten it

@@ -49,6 +49,11 @@ struct Node : NodeValue {
     /// The numbers that the node has in the equations.
     Id size() const { return point ? 2 : 3; }
 
+    /// Remember the value from before a step.
+    void keep(Stamp step) {
+        if (changed != step) changed = step, kept = x;
+    }
+
     /// Put the node at a value. Headings are not wrapped, because increments add up.
     void begin(const Triple& value) {
         x = base = value;

@@ -99,6 +99,8 @@ class OnlineSystem {
         double last = infinity;  ///< the decrease of J that the last pass predicted
         double part = 1.0;  ///< a factor on the size below which the next pass leaves out subtrees
         bool renewed = false;  ///< whether edges were linearised again after the last pass
+        std::array<double, 3> earlier{};  ///< the decreases that the last three passes predicted
+        std::size_t linearized = 0;  ///< how many edges were linearised again
 
         bool first() const { return last == infinity; }
     };
@@ -119,6 +121,8 @@ class OnlineSystem {
     bool eliminate(const Changes& changes);
     /// Build the tree anew with all nodes at x; returns whether they are determined. It is empty otherwise.
     bool begin_at(std::span<const Triple> x, std::span<const Id> newest);
+    bool move_to(std::span<const Triple> x);
+    bool factorize_all();
     bool solve_as_batch(std::span<const Id> newest);
     bool factorize_again(std::span<const Id> newest);
     bool linearize_late(std::span<const Id> newest);
