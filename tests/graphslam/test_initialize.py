@@ -254,6 +254,15 @@ def test_second_derivatives_wait_until_a_minimum_is_near(seed):
     assert "second derivatives" not in solve(graph, initialize="given", max_iterations=begun - 1).reason
 
 
+def test_damping_falls_quickly_where_second_derivatives_are_definite_again():
+    """Where a good step divides it by three at most, this takes 21 steps."""
+    log, options = random_problem(1058)
+    graph = Graph.from_log(log, **(options | {"edges": "landmark+motion", "frame": "body"}))
+    solution = solve(graph, initialize="given", max_iterations=300)
+    begun = int(re.search(r"second derivatives from step (\d+)", solution.reason)[1])
+    assert solution.converged and solution.iterations - begun <= 12
+
+
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_short_damped_steps_alone_are_no_proof():
     """Where a pose lands on a landmark damping shortens all steps; only an undamped one that promises little converges."""
