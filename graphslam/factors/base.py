@@ -155,7 +155,7 @@ def _guarded(
                 e = np.array(error(*at), dtype=float)
             else:
                 raw, by_value = residual(*at)
-                e = np.array(raw, dtype=float)
+                e = _real(raw)
             if e.shape != expected:
                 raise FactorError(f"its residual must have shape ({rows},), not {e.shape}")
             if not isfinite(e.dot(e)):

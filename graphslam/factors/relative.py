@@ -12,9 +12,10 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..edges.base import node_numbers
 from ..edges.robust import code_and_width, kernel_of
 from ..engine import engine
-from ..errors import GraphError, OptionError, checks
+from ..errors import GraphError, OptionError, checks, quoted
 from ..linear.precision import check_size, model_of, small_inverse
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, sinc_slope_near_zero, turned_by
@@ -210,6 +211,7 @@ class RelativeEdgesFactor(Factor):
 
     Raises:
         OptionError: an argument has an impossible value.
+        GraphError: ``first`` or ``second`` are no whole numbers.
     """
 
     keys_in_list = True
@@ -230,25 +232,28 @@ class RelativeEdgesFactor(Factor):
         kernel: KernelLike = None,
     ) -> None:
         keys = listed_keys("RelativeEdgesFactor", keys)
+        checks.check_count(points=points)
         poses, world = len(keys) - points, in_world_frame(frame)
-        i, j = (np.array(ends, dtype=np.int64) for ends in (first, second))
-        if len(i) == 0 or i.shape != j.shape or np.min([i, j]) < 0 or np.max(i) >= poses or np.max(j) >= len(keys):
-            raise OptionError("first and second must be places of keys, one of a pose and one of any node per edge")
+        i, j = (node_numbers(self, name, ends).copy() for name, ends in (("first", first), ("second", second)))
+        outside = not len(i) == len(j) > 0 or np.min([i, j]) < 0 or np.max([i - poses, j - len(keys)]) >= 0
+        if outside or np.any(i == j):
+            raise OptionError("first and second must be places of keys, one of a pose and one of another node per edge")
         z = checks.finite_numbers("measured", measured, (len(i), 3))
         checks.check_heading("measured", z[j < poses, 2])
-        omega = np.array(information, dtype=float)
+        omega = checks.finite_numbers("information", information, (len(i), 3, 3))
         rows = np.where(j < poses, 3, 2)
-        if omega.shape != (len(i), 3, 3):
-            raise OptionError(f"information must be {len(i)} matrices of 3 x 3, not {omega.shape}")
         root = np.zeros_like(omega)
         for edge, d in enumerate(rows.tolist()):
             root[edge, :d, :d] = np.linalg.cholesky(positive_definite(omega[edge, :d, :d], d)).T
         frozen = checks.finite_numbers("at", at, (len(i),)) if world else np.zeros(len(i))
+        checks.check_heading("at", frozen)
         edge_kernel = kernel_of(edge_kernel)
         # a kernel without a width takes that of the dimension
         of_rows = {d: code_and_width(edge_kernel and edge_kernel.of_dimension(d)) for d in (2, 3)}
         code, widths = of_rows[3][0], np.array([of_rows[d][1] for d in rows.tolist()])
-        robust = np.ones(len(i), dtype=bool) if robust is None else np.array(robust, dtype=bool)
+        robust = np.ones(len(i), dtype=bool) if robust is None else np.array(robust)
+        if robust.shape != i.shape or robust.dtype != bool:
+            raise OptionError(f"robust must be {len(i)} times True or False, once for each edge, not {quoted(robust)}")
         codes = np.where(robust, code, 0)
         edges = engine.WhitenedEdges(i, j, rows, z, root, frozen, codes, widths, poses, world)
 

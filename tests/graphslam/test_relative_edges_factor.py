@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from graphslam import Graph, OptionError, SensorModel, simulate, solve, solve_with_gtsam
+from graphslam import Graph, GraphError, OptionError, SensorModel, simulate, solve, solve_with_gtsam
 from graphslam.edges.robust import Cauchy, Huber
 from graphslam.factors import RelativeEdgesFactor, RelativePointFactor, RelativePoseFactor, describe
 from graphslam.solvers.gtsam_solver import to_gtsam, to_values
@@ -88,10 +88,17 @@ def test_both_kinds_have_the_same_optimum():
         ({"first": [0, 9]}, "places of keys"),
         ({"first": [0]}, "places of keys"),
         ({"measured": np.zeros((2, 2))}, "measured"),
-        ({"information": np.eye(3)}, "matrices"),
+        ({"information": np.eye(3)}, "arrays"),
         ({"information": -np.tile(np.eye(3), (2, 1, 1))}, "positive definite"),
         ({"frame": "world"}, "at"),
         ({"edge_kernel": "l7"}, "kernel must be"),
+        # a place that is rounded, or a flag too few, would give another cost
+        ({"first": [0.7, 1]}, "whole numbers"),
+        ({"second": [0, 2]}, "places of keys"),
+        ({"robust": [True], "edge_kernel": "cauchy"}, "robust must be 2 times True or False"),
+        ({"robust": ["no", "no"]}, "robust must be"),
+        ({"points": 0.5}, "points must be a whole number"),
+        ({"frame": "world", "at": [0, 90]}, "the heading of at is 90 rad"),
     ],
     ids=str,
 )
@@ -102,5 +109,5 @@ def test_impossible_arguments(change, message):
         "measured": np.zeros((2, 3)),
         "information": np.tile(np.eye(3), (2, 1, 1)),
     }
-    with pytest.raises(OptionError, match=message):
+    with pytest.raises((OptionError, GraphError), match=message):
         RelativeEdgesFactor([0, 1, 2], **(arguments | change))
