@@ -271,6 +271,18 @@ def listed_keys(name: str, keys: Any) -> list[int]:
     return [_checked_key(name, key) for key in keys]
 
 
+def kinds_of(keys: Sequence[int], points: int) -> list[str]:
+    """The kinds of keys of which the last ones are of ``points`` points, the others of poses.
+
+    Raises:
+        OptionError: there cannot be so many points.
+    """
+    checks.check_count(points=points)
+    if points > len(keys):
+        raise OptionError(f"points must be at most {len(keys)}, the number of keys, not {quoted(points)}")
+    return [POSE] * (len(keys) - points) + [POINT] * points
+
+
 def _checked_key(name: str, key: Any) -> int:
     try:
         number = -1 if isinstance(key, bool) else index(key)

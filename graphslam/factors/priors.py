@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ..errors import OptionError, checks, quoted
 from ..se2 import Array
 from .arguments import PoseLike, positive_definite
-from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys, noise_model, wrapped
+from .base import KINDS, POSE, Coordinates, Factor, KernelLike, Linearized, kinds_of, listed_keys, noise_model, wrapped
 
 
 class PriorFactor(Factor):
@@ -52,12 +52,8 @@ class PriorFactor(Factor):
         kernel: KernelLike = None,
     ) -> None:
         keys = listed_keys("PriorFactor", keys)
-        checks.check_count(points=points)
-        if points > len(keys):
-            raise OptionError(f"points must be at most {len(keys)}, the number of keys, not {points}")
-        poses, held = len(keys) - points, checks.finite_numbers("values", values, (len(keys), 3))
-        kinds = [POSE] * poses + [POINT] * points
-        most = [3] * poses + [2] * points
+        kinds, held = kinds_of(keys, points), checks.finite_numbers("values", values, (len(keys), 3))
+        most = [KINDS[kind][0] for kind in kinds]
         used = most
         if coordinates is not None:
             used = [int(n) for n in checks.finite_numbers("coordinates", coordinates, (len(keys),)).tolist()]

@@ -12,7 +12,6 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..edges.base import node_numbers
 from ..edges.robust import code_and_width, kernel_of
 from ..engine import engine
 from ..errors import GraphError, OptionError, checks, quoted
@@ -29,7 +28,7 @@ from .arguments import (
     sighted_covariance,
     sighting,
 )
-from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys, noise_model, wrapped
+from .base import POSE, Coordinates, Factor, KernelLike, Linearized, kinds_of, listed_keys, noise_model, wrapped
 
 
 class RelativePoseFactor(Factor):
@@ -211,7 +210,6 @@ class RelativeEdgesFactor(Factor):
 
     Raises:
         OptionError: an argument has an impossible value.
-        GraphError: ``first`` or ``second`` are no whole numbers.
     """
 
     keys_in_list = True
@@ -232,12 +230,15 @@ class RelativeEdgesFactor(Factor):
         kernel: KernelLike = None,
     ) -> None:
         keys = listed_keys("RelativeEdgesFactor", keys)
-        checks.check_count(points=points)
-        poses, world = len(keys) - points, in_world_frame(frame)
-        i, j = (node_numbers(self, name, ends).copy() for name, ends in (("first", first), ("second", second)))
-        outside = not len(i) == len(j) > 0 or np.min([i, j]) < 0 or np.max([i - poses, j - len(keys)]) >= 0
-        if outside or np.any(i == j):
+        kinds, world = kinds_of(keys, points), in_world_frame(frame)
+        poses = len(keys) - points
+        i, j = checks.array_of("first", first), checks.array_of("second", second)
+        listed = i.ndim == 1 and i.shape == j.shape and len(i) > 0
+        if not listed or not np.all(
+            (i >= 0) & (i < poses) & (j >= 0) & (j < len(keys)) & (i != j) & (i % 1 + j % 1 == 0)
+        ):
             raise OptionError("first and second must be places of keys, one of a pose and one of another node per edge")
+        i, j = i.astype(np.int64), j.astype(np.int64)
         z = checks.finite_numbers("measured", measured, (len(i), 3))
         checks.check_heading("measured", z[j < poses, 2])
         omega = checks.finite_numbers("information", information, (len(i), 3, 3))
@@ -274,7 +275,7 @@ class RelativeEdgesFactor(Factor):
         options = {"points": points, "frame": frame, "at": frozen if world else None, "kernel": kernel}
         arguments = {"first": i, "second": j, "measured": z, "information": omega} | options
         super().__init__(
-            keys, [POSE] * poses + [POINT] * points, residual,
+            keys, kinds, residual,
             arguments | {"edge_kernel": edge_kernel, "robust": robust},
             covariance=np.eye(int(rows.sum())), in_own_axes=True, error=error,
         )  # fmt: skip

@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from graphslam import Graph, GraphError, OptionError, SensorModel, simulate, solve, solve_with_gtsam
+from graphslam import Graph, OptionError, SensorModel, simulate, solve, solve_with_gtsam
 from graphslam.edges.robust import Cauchy, Huber
 from graphslam.factors import RelativeEdgesFactor, RelativePointFactor, RelativePoseFactor, describe
 from graphslam.solvers.gtsam_solver import to_gtsam, to_values
@@ -93,7 +93,7 @@ def test_both_kinds_have_the_same_optimum():
         ({"frame": "world"}, "at"),
         ({"edge_kernel": "l7"}, "kernel must be"),
         # a place that is rounded, or a flag too few, would give another cost
-        ({"first": [0.7, 1]}, "whole numbers"),
+        ({"first": [0.7, 1]}, "places of keys"),
         ({"second": [0, 2]}, "places of keys"),
         ({"robust": [True], "edge_kernel": "cauchy"}, "robust must be 2 times True or False"),
         ({"robust": ["no", "no"]}, "robust must be"),
@@ -109,5 +109,5 @@ def test_impossible_arguments(change, message):
         "measured": np.zeros((2, 3)),
         "information": np.tile(np.eye(3), (2, 1, 1)),
     }
-    with pytest.raises((OptionError, GraphError), match=message):
+    with pytest.raises(OptionError, match=message):
         RelativeEdgesFactor([0, 1, 2], **(arguments | change))
