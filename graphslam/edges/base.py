@@ -283,7 +283,14 @@ class EdgeFamily(ABC):
 
     def weighted_cost(self, state: Array) -> float:
         """The sum of w e' Omega e with the weights w that a robust kernel gives the edges; without one the cost."""
-        return self.cost(state, state)
+        if getattr(self, "kernel", None) is None:
+            return self.cost(state, state)
+        return float(self.linearize(state, state).mahalanobis @ self.kernel_weights(state))
+
+    def kernel_weights(self, state: Array) -> Array:
+        """The weight (E,) that the kernel gives each edge at a state, 1 without a kernel."""
+        squares, kernel = self.linearize(state, state).mahalanobis, getattr(self, "kernel", None)
+        return np.ones(len(squares)) if kernel is None else kernel.weight(squares)
 
     def constant(self, state: Array) -> ConstantEdges:
         """The edges in the form that `solvers.certificate` needs, at a state (n, 3); a kernel keeps its weights there.

@@ -240,16 +240,6 @@ class DoubtedEdges(EdgeFamily):
         """The trust (M,) that the edges work with."""
         return np.ones(self.measurements) if self.trust is None else np.maximum(self.trust, NO_TRUST)
 
-    def kernel_weights(self, state: Array) -> Array:
-        """The weight (E,) that the kernel gives each edge at a state, 1 without a kernel."""
-        squares = self.linearize(state, state).mahalanobis
-        return np.ones(len(squares)) if self.kernel is None else self.kernel.weight(squares)
-
-    def weighted_cost(self, state: Array) -> float:
-        if self.kernel is None:
-            return self.cost(state, state)
-        return float(self.linearize(state, state).mahalanobis @ self.kernel_weights(state))
-
     @property
     def information_per_weight(self) -> float:
         return 1.0 if self.kernel is None else self.kernel.information_per_weight(self.dimension)

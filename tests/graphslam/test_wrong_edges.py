@@ -206,6 +206,21 @@ def test_wrong_groups_of_a_family_in_numpy() -> None:
             replace(graph, families=(*graph.families, FixEdges(np.arange(4), np.zeros((4, 2)), spread)))
 
 
+def test_a_family_in_numpy_with_a_kernel_is_proven_for_its_weights() -> None:
+    class Robust(FixEdges):
+        kernel = Huber(0.1)
+
+        def constant(self, state: np.ndarray) -> ConstantEdges:
+            here, nothing = self.linearize(state, state), np.zeros((self.count, 2))
+            weights = self.kernel.weight(here.mahalanobis)[:, None, None]
+            from_world = np.full(self.count, -1)
+            return ConstantEdges(from_world, self.nodes, self.measured, nothing, None, here.information * weights)
+
+    graph = ring(6)
+    solution = solve(replace(graph, families=(*graph.families, Robust(np.arange(4), np.zeros((4, 2))))))
+    assert solution.certificate.status == "global for its weights"
+
+
 @pytest.mark.parametrize("kind", [MarginalEdges, VirtualMotionEdges])
 def test_sightings_of_a_landmark_in_another_order_are_refused(kind: type[LandmarkSightings]) -> None:
     """Their J was right, and Omega was not."""
