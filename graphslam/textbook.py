@@ -28,6 +28,8 @@ OMEGA_0 = 1e6 * np.eye(3)
 THRESHOLDS = {"virtual": 0.01, "virtual+motion": 0.02}
 #: where the threshold is the book's, the program stops if the steps became shorter by less than this part in so many steps
 DRIFT, PATIENCE = 0.01, 10
+#: Omega is singular to rounding where a Cholesky pivot is below this part of its diagonal entry
+SINGULAR = 1e-12
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,8 @@ def solve(
     patience = PATIENCE if threshold is None else max_iterations
     threshold = THRESHOLDS[edges] if threshold is None else threshold
     checks.check_not_negative(threshold=threshold)
-    d = dimensions or log.sightings.shape[1]
+    d = log.sightings.shape[1] if dimensions is None else dimensions
+    checks.check_count(dimensions=d, motion_copies=motion_copies, max_iterations=max_iterations)
     if d not in (2, 3) or d > log.sightings.shape[1]:
         raise OptionError(f"dimensions must be 2 or 3 and not more than the log has, not {quoted(dimensions)}")
     if motion_copies < 1:
@@ -148,6 +151,8 @@ def solve(
                     for _ in range(motion_copies):
                         _add(Omega, xi, row[t - 1], row[t], e, Omega_e, B1, B2)
                         J += float(e @ Omega_e @ e)
+            if not step_norms:
+                _check_determined(Omega)
             Delta = np.linalg.solve(Omega, xi)
         except np.linalg.LinAlgError:
             raise GraphError(
@@ -303,6 +308,13 @@ def _add(Omega: Array, xi: Array, i: int, j: int, e: Array, Omega_e: Array, B1: 
         xi[a : a + 3] -= force[at]
         Omega[a : a + 3, i : i + 3] += added[at, :3]
         Omega[a : a + 3, j : j + 3] += added[at, 3:]
+
+
+def _check_determined(Omega: Array) -> None:
+    """Raise `numpy.linalg.LinAlgError` where Omega is singular to rounding, which `numpy.linalg.solve` need not notice."""
+    pivots = np.diag(np.linalg.cholesky(Omega)) ** 2
+    if np.any(pivots < SINGULAR * np.diag(Omega)):
+        raise np.linalg.LinAlgError
 
 
 def _wrapped(angle: float) -> float:

@@ -227,7 +227,7 @@ class EdgeFamily(ABC):
         """The lowest and the highest node that the edges tie; (0, -1) without edges.
 
         Raises:
-            GraphError: `cliques` does not return what it should.
+            GraphError: `cliques` does not return what it should; from nodes that decrease Omega would be wrong.
         """
         given = self.cliques()
         if not isinstance(given, tuple) or len(given) != 2:
@@ -238,6 +238,13 @@ class EdgeFamily(ABC):
             raise GraphError(
                 f"{type(self).__name__}: the starts of cliques() must not decrease from 0 to the number of its nodes, "
                 f"{len(nodes)}, but are {quoted(starts.tolist(), 40)}"
+            )
+        falls, ends = np.diff(nodes) < 0, starts[(starts > 0) & (starts < len(nodes))]
+        falls[ends - 1] = False
+        if (k := first(falls)) is not None:
+            raise GraphError(
+                f"{type(self).__name__}: the nodes of each group of cliques() must not decrease, but node {nodes[k + 1]} "
+                f"follows node {nodes[k]}: sort them, such as the sightings of a landmark"
             )
         return (int(nodes.min()), int(nodes.max())) if len(nodes) else (0, -1)
 
@@ -276,7 +283,14 @@ class EdgeFamily(ABC):
 
     def weighted_cost(self, state: Array) -> float:
         """The sum of w e' Omega e with the weights w that a robust kernel gives the edges; without one the cost."""
-        return self.cost(state, state)
+        if getattr(self, "kernel", None) is None:
+            return self.cost(state, state)
+        return float(self.linearize(state, state).mahalanobis @ self.kernel_weights(state))
+
+    def kernel_weights(self, state: Array) -> Array:
+        """The weight (E,) that the kernel gives each edge at a state, 1 without a kernel."""
+        squares, kernel = self.linearize(state, state).mahalanobis, getattr(self, "kernel", None)
+        return np.ones(len(squares)) if kernel is None else kernel.weight(squares)
 
     def constant(self, state: Array) -> ConstantEdges:
         """The edges in the form that `solvers.certificate` needs, at a state (n, 3); a kernel keeps its weights there.

@@ -36,7 +36,7 @@ from numpy.typing import ArrayLike
 from ..engine import engine
 from ..errors import OptionError, checks, quoted
 from ..se2 import Array
-from .base import EdgeFamily
+from .base import EdgeFamily, check_rows
 
 SQUARES, HUBER, CAUCHY, GEMAN_MCCLURE = 0, 1, 2, 3
 
@@ -154,7 +154,7 @@ def kernel_of(kernel: Kernel | str | None) -> Kernel | None:
     if isinstance(kernel, str):
         checks.check_choice("kernel", kernel, ("none", *KERNELS))
         return KERNELS.get(kernel)
-    if kernel is not None and not isinstance(kernel, Kernel):
+    if kernel is not None and (not isinstance(kernel, Kernel) or kernel.code == SQUARES):
         raise OptionError(f"kernel must be Huber(), Cauchy(), GemanMcClure(), a name or None, not {quoted(kernel)}")
     return kernel
 
@@ -217,6 +217,9 @@ class DoubtedEdges(EdgeFamily):
         super().__post_init__()
         kernel = kernel_of(self.kernel)
         object.__setattr__(self, "kernel", None if kernel is None else kernel.of_dimension(self.dimension))
+        if self.trust is not None:
+            # the engine reads as many numbers as there are measurements
+            check_rows(self, trust=(self.measurements,))
 
     @property
     @abstractmethod
@@ -236,16 +239,6 @@ class DoubtedEdges(EdgeFamily):
     def trusted(self) -> Array:
         """The trust (M,) that the edges work with."""
         return np.ones(self.measurements) if self.trust is None else np.maximum(self.trust, NO_TRUST)
-
-    def kernel_weights(self, state: Array) -> Array:
-        """The weight (E,) that the kernel gives each edge at a state, 1 without a kernel."""
-        squares = self.linearize(state, state).mahalanobis
-        return np.ones(len(squares)) if self.kernel is None else self.kernel.weight(squares)
-
-    def weighted_cost(self, state: Array) -> float:
-        if self.kernel is None:
-            return self.cost(state, state)
-        return float(self.linearize(state, state).mahalanobis @ self.kernel_weights(state))
 
     @property
     def information_per_weight(self) -> float:

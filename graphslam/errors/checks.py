@@ -237,7 +237,7 @@ def _shaped(shapes: Iterable[tuple[int, ...]]) -> list[str]:
         lengths.setdefault(shape[:-1], []).extend(map(str, shape[-1:]))
     texts = []
     for leading, last in lengths.items():
-        rows = {1: "{} rows of ", 2: "{} matrices of {} rows of "}.get(len(leading), "").format(*leading)
+        rows = {1: "{} rows of ", 2: "{} arrays of {} rows of "}.get(len(leading), "").format(*leading)
         texts.append(f"{singular(rows)}{' or '.join(last)} finite numbers" if last else "a finite number")
     return texts
 

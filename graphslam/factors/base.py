@@ -155,7 +155,7 @@ def _guarded(
                 e = np.array(error(*at), dtype=float)
             else:
                 raw, by_value = residual(*at)
-                e = np.array(raw, dtype=float)
+                e = _real(raw)
             if e.shape != expected:
                 raise FactorError(f"its residual must have shape ({rows},), not {e.shape}")
             if not isfinite(e.dot(e)):
@@ -269,6 +269,18 @@ def listed_keys(name: str, keys: Any) -> list[int]:
     if not isinstance(keys, (Sequence, np.ndarray)) or isinstance(keys, (str, bytes)) or getattr(keys, "ndim", 1) != 1:
         raise OptionError(f"{name} takes a list of keys, not {quoted(keys)}")
     return [_checked_key(name, key) for key in keys]
+
+
+def kinds_of(keys: Sequence[int], points: int) -> list[str]:
+    """The kinds of keys of which the last ones are of ``points`` points, the others of poses.
+
+    Raises:
+        OptionError: there cannot be so many points.
+    """
+    checks.check_count(points=points)
+    if points > len(keys):
+        raise OptionError(f"points must be at most {len(keys)}, the number of keys, not {quoted(points)}")
+    return [POSE] * (len(keys) - points) + [POINT] * points
 
 
 def _checked_key(name: str, key: Any) -> int:

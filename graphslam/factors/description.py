@@ -20,7 +20,7 @@ import gtsam
 import numpy as np
 
 from ..edges.robust import KERNELS
-from ..errors import FactorError, FormatError, OptionError, quoted, reason_of
+from ..errors import FactorError, FormatError, OptionError, SlamError, quoted, reason_of
 from ..files import path_of, write_text
 from ..models import MotionModel, SensorModel
 
@@ -212,7 +212,7 @@ def load_factors(path: str | Path, functions: Functions | None = None) -> gtsam.
                 description = FactorDescription.from_dict(each, functions)
                 name += f", {description}"
                 graph.add(description.build())
-        except (OptionError, TypeError, ValueError, AttributeError) as error:
+        except (SlamError, TypeError, ValueError, AttributeError) as error:
             raise FormatError(path, None, f"{name}: {reason_of(error)}") from None
     return graph
 

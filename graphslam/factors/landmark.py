@@ -167,7 +167,8 @@ def compressed(omega: Array, slope: Array, squares: float) -> tuple[Array, Array
     order -= 1  # LAPACK counts from one
     R, e = np.zeros((n + 1, n), order="F"), np.zeros(n + 1)
     R[:rank, order] = np.triu(upper)[:rank]
-    e[:rank] = lapack.dtrtrs(upper[:rank, :rank], slope[order[:rank]], trans=1)[0].ravel()
+    if rank:  # all sightings may be from one pose
+        e[:rank] = lapack.dtrtrs(upper[:rank, :rank], slope[order[:rank]], trans=1)[0].ravel()
     e[n] = max(float(squares - e @ e), 0.0) ** 0.5
     return e, R
 

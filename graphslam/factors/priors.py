@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ..errors import OptionError, checks, quoted
 from ..se2 import Array
 from .arguments import PoseLike, positive_definite
-from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys, noise_model, wrapped
+from .base import KINDS, POSE, Coordinates, Factor, KernelLike, Linearized, kinds_of, listed_keys, noise_model, wrapped
 
 
 class PriorFactor(Factor):
@@ -52,12 +52,14 @@ class PriorFactor(Factor):
         kernel: KernelLike = None,
     ) -> None:
         keys = listed_keys("PriorFactor", keys)
-        poses, held = len(keys) - points, checks.finite_numbers("values", values, (len(keys), 3))
-        kinds = [POSE] * poses + [POINT] * points
-        most = [3] * poses + [2] * points
-        used = most if coordinates is None else list(coordinates)
-        if len(used) != len(keys) or any(n not in (2, 3) or n > m for n, m in zip(used, most)):
+        kinds, held = kinds_of(keys, points), checks.finite_numbers("values", values, (len(keys), 3))
+        most = [KINDS[kind][0] for kind in kinds]
+        used = most
+        if coordinates is not None:
+            used = [int(n) for n in checks.finite_numbers("coordinates", coordinates, (len(keys),)).tolist()]
+        if any(n not in (2, 3) or n > m for n, m in zip(used, most)):
             raise OptionError(f"coordinates must be 2 or 3 for each key, and 2 for points, not {quoted(coordinates)}")
+        checks.check_heading("values", held[np.array(used) == 3, 2])
         omega = positive_definite(information, sum(used))
         # which of the three coordinates of each key the prior is about, and which it has
         about, has = (np.flatnonzero(np.arange(3) < np.array(n)[:, None]) for n in (used, most))
@@ -165,6 +167,7 @@ class PositionFactor(Factor):
         z, arm = checks.finite_numbers("measured", measured, (2,), (3,)), checks.finite_numbers("lever", lever, (2,))
         omega = positive_definite(information, len(z))
         (x, y), (ahead, left), heading = z[:2].tolist(), arm.tolist(), z[2:].tolist()
+        checks.check_heading("measured", z[2:])
 
         def residual(pose: Coordinates) -> Linearized:
             # derivatives by GTSAM's perturbations, in the pose's own axes: R(theta) [I, (-a_y, a_x)]

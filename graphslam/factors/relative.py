@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from ..edges.robust import code_and_width, kernel_of
 from ..engine import engine
-from ..errors import GraphError, OptionError, checks
+from ..errors import GraphError, OptionError, checks, quoted
 from ..linear.precision import check_size, model_of, small_inverse
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, sinc_slope_near_zero, turned_by
@@ -28,7 +28,7 @@ from .arguments import (
     sighted_covariance,
     sighting,
 )
-from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys, noise_model, wrapped
+from .base import POSE, Coordinates, Factor, KernelLike, Linearized, kinds_of, listed_keys, noise_model, wrapped
 
 
 class RelativePoseFactor(Factor):
@@ -230,25 +230,31 @@ class RelativeEdgesFactor(Factor):
         kernel: KernelLike = None,
     ) -> None:
         keys = listed_keys("RelativeEdgesFactor", keys)
-        poses, world = len(keys) - points, in_world_frame(frame)
-        i, j = (np.array(ends, dtype=np.int64) for ends in (first, second))
-        if len(i) == 0 or i.shape != j.shape or np.min([i, j]) < 0 or np.max(i) >= poses or np.max(j) >= len(keys):
-            raise OptionError("first and second must be places of keys, one of a pose and one of any node per edge")
+        kinds, world = kinds_of(keys, points), in_world_frame(frame)
+        poses = len(keys) - points
+        i, j = checks.array_of("first", first), checks.array_of("second", second)
+        listed = i.ndim == 1 and i.shape == j.shape and len(i) > 0
+        if not listed or not np.all(
+            (i >= 0) & (i < poses) & (j >= 0) & (j < len(keys)) & (i != j) & (i % 1 + j % 1 == 0)
+        ):
+            raise OptionError("first and second must be places of keys, one of a pose and one of another node per edge")
+        i, j = i.astype(np.int64), j.astype(np.int64)
         z = checks.finite_numbers("measured", measured, (len(i), 3))
         checks.check_heading("measured", z[j < poses, 2])
-        omega = np.array(information, dtype=float)
+        omega = checks.finite_numbers("information", information, (len(i), 3, 3))
         rows = np.where(j < poses, 3, 2)
-        if omega.shape != (len(i), 3, 3):
-            raise OptionError(f"information must be {len(i)} matrices of 3 x 3, not {omega.shape}")
         root = np.zeros_like(omega)
         for edge, d in enumerate(rows.tolist()):
             root[edge, :d, :d] = np.linalg.cholesky(positive_definite(omega[edge, :d, :d], d)).T
         frozen = checks.finite_numbers("at", at, (len(i),)) if world else np.zeros(len(i))
+        checks.check_heading("at", frozen)
         edge_kernel = kernel_of(edge_kernel)
         # a kernel without a width takes that of the dimension
         of_rows = {d: code_and_width(edge_kernel and edge_kernel.of_dimension(d)) for d in (2, 3)}
         code, widths = of_rows[3][0], np.array([of_rows[d][1] for d in rows.tolist()])
-        robust = np.ones(len(i), dtype=bool) if robust is None else np.array(robust, dtype=bool)
+        robust = np.ones(len(i), dtype=bool) if robust is None else np.array(robust)
+        if robust.shape != i.shape or robust.dtype != bool:
+            raise OptionError(f"robust must be {len(i)} times True or False, once for each edge, not {quoted(robust)}")
         codes = np.where(robust, code, 0)
         edges = engine.WhitenedEdges(i, j, rows, z, root, frozen, codes, widths, poses, world)
 
@@ -269,7 +275,7 @@ class RelativeEdgesFactor(Factor):
         options = {"points": points, "frame": frame, "at": frozen if world else None, "kernel": kernel}
         arguments = {"first": i, "second": j, "measured": z, "information": omega} | options
         super().__init__(
-            keys, [POSE] * poses + [POINT] * points, residual,
+            keys, kinds, residual,
             arguments | {"edge_kernel": edge_kernel, "robust": robust},
             covariance=np.eye(int(rows.sum())), in_own_axes=True, error=error,
         )  # fmt: skip

@@ -180,11 +180,12 @@ def anchors(first: Array, families: Iterable[EdgeFamily]) -> list[AnchorEdges]:
 
 def _directed(families: list[PositionEdges]) -> bool:
     """Whether the positions determine the direction of the world."""
-    if any(family.dimension == 3 for family in families):
+    # files may have headings without information
+    if any(family.dimension == 3 and family.information[:, 2, 2].any() for family in families):
         return True
     for family in families:
-        apart = np.hypot(*(family.measured - family.measured[0]).T)
-        values = np.linalg.eigvalsh(family.information)
+        apart = np.hypot(*(family.measured - family.measured[0]).T[:2])
+        values = np.linalg.eigvalsh(family.information[:, :2, :2])
         variances = np.divide(1.0, values, out=np.full_like(values, np.inf), where=values > 0).sum(axis=1)
         if np.any(apart > APART * np.sqrt(variances + variances[0])):
             return True

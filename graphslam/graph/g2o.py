@@ -152,10 +152,11 @@ def _file_of_graph(graph: Graph, state: Array) -> PoseGraphFile:
     ids, held = np.concatenate([pose_ids, landmark_ids]), [graph.fixed]
     groups: dict[str, list[Any]] = {kind: [] for kind in KINDS}
     anchored = [f for f in graph.families if isinstance(f, AnchorEdges) and not isinstance(f, LandmarkPriors)]
-    alone = sum(family.count for family in anchored) == 1
+    others = [len(graph.fixed), *(f.count for f in graph.families if isinstance(f, PositionEdges) or f in anchored)]
+    alone = sum(others) == 1
     for family in graph.families:
         if family in anchored:
-            # where one node is anchored, its information does not matter
+            # where one node is anchored and nothing else ties the graph to the world, its information does not matter
             least = np.linalg.eigvalsh(family.information)[:, 0]
             if np.all(least > 0 if alone else least >= HARD):
                 held.append(family.nodes)
@@ -190,11 +191,15 @@ def _kind(family: EdgeFamily) -> str:
         raise GraphError(
             "g2o has no line for the position of a point beside the pose: positions with a lever cannot be written"
         )
+    if isinstance(family, PartialEdges) and family.offset.any():
+        raise GraphError(
+            "g2o has no line for ranges or bearings of a sensor beside the pose: those with an offset cannot be written"
+        )
     kernel = getattr(family, "kernel", None)
     if kernel is None and not family.state_dependent_information:
         if isinstance(family, PositionEdges):
             return "prior" if family.dimension == 3 else "place"
-        if isinstance(family, PartialEdges) and not family.offset.any():
+        if isinstance(family, PartialEdges):
             return "range" if isinstance(family, RangeEdges) else "bearing"
         if isinstance(family, (RelativePoseEdges, RelativePointEdges)):
             return "pose" if isinstance(family, RelativePoseEdges) else "point"

@@ -229,7 +229,7 @@ class Graph:
         for f in self.families:
             if isinstance(f, DoubtedEdges) and start < len(trust):
                 end = start + f.measurements
-                f, start = f.with_trust(trust[start:end]), end
+                f, start = f.with_trust(trust[start:end]) if end <= len(trust) else f, end
             families.append(f)
         if start != len(trust):
             raise OptionError(

@@ -242,11 +242,12 @@ def _doubts(lines: _Lines, information: Array, root: bool) -> tuple[str, ...]:
     and a covariance read as information claims it nearly always. Edges without information on the heading do not count.
     """
     notes = []
-    beyond = [edge for edge in lines.edges["pose"] if abs(edge.numbers[2]) > WHOLE_TURN]
+    angles = [(edge.line, edge.numbers[k]) for kind, k in _ANGLES.items() for edge in lines.edges[kind]]
+    beyond = sorted(each for each in angles if abs(each[1]) > WHOLE_TURN)
     if len(beyond) > 1:
         notes.append(
-            f"{len(beyond)} edges, the first one in line {beyond[0].line}, turn by more than 2 pi "
-            f"({beyond[0].numbers[2]:g} rad): are angles in degrees? Files have radians"
+            f"{len(beyond)} edges, the first one in line {beyond[0][0]}, turn by more than 2 pi "
+            f"({beyond[0][1]:g} rad): are angles in degrees? Files have radians"
         )
     heading = information[:, 2, 2]
     heading = heading[heading > 0]

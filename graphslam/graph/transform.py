@@ -19,7 +19,8 @@ elsewhere. Motion edges already are relative poses, and sightings of landmark no
 poses or points; polar ones become these.
 
 A robust kernel becomes the weight w(r) that it gives each edge at a state, with r of the graph's own edge. At the
-optimum of the graph Omega and xi are the same with these weights as with the kernel, so the solution stays one.
+optimum of the graph Omega and xi are the same with these weights as with the kernel, so the solution stays one, except for
+edges in the world frame: they get the body frame, whose optimum differs from theirs where residuals are not zero.
 """
 
 from __future__ import annotations

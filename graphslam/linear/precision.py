@@ -40,6 +40,8 @@ def check_magnitudes(log: Log, motion: MotionModel | None, sensor: SensorModel) 
     check_size(f"the initial poses of {log.name}", log.initial_poses)
     ranges = log.sightings[:, 0]
     check_size(f"the ranges of {log.name}", ranges, least=SMALLEST)
+    if log.partial_sightings is not None:
+        check_size(f"the ranges alone of {log.name}", log.partial_sightings.ranges, least=SMALLEST)
     bearing, orientation = sensor.bearing_std, sensor.orientation_std
     along, across = np.hypot(ranges * sensor.range_rate, sensor.range_std), ranges * bearing
     if (k := checks.first(np.maximum(along / across, across / along) > PART**-0.5)) is not None:

@@ -118,7 +118,9 @@ def _trust_by_kind(graph: Graph) -> dict[str, Array]:
                 rows = graph.log.positions.oriented == (family.dimension == 3)
                 found.setdefault("positions", np.ones(len(rows)))[rows] = trust
             else:
-                found[next(kind for cls, kind in KINDS.items() if isinstance(family, cls))] = trust
+                # a graph made of relative poses has a family for each kind of edge that they were
+                kind = next(kind for cls, kind in KINDS.items() if isinstance(family, cls))
+                found[kind] = np.append(found.get(kind, []), trust)
     return found
 
 

@@ -24,12 +24,14 @@ from .solution import Solution
 
 #: GTSAM's own factors whose error goes through the logarithm of SE(2)
 LOGARITHM = (gtsam.BetweenFactorPose2, gtsam.PriorFactorPose2)
+#: what holds a node
+HELD = (gtsam.NonlinearEqualityPose2, gtsam.NonlinearEqualityPoint2)
 
 
 def edges_of_factors(
     factors: gtsam.NonlinearFactorGraph, values: gtsam.Values
 ) -> tuple[list[edges.EdgeFamily], Array, np.ndarray]:
-    """The edges of a graph, the state (n, 3) of its values, and the nodes that `gtsam.NonlinearEqualityPose2` holds.
+    """The edges of a graph, the state (n, 3) of its values, and the nodes that factors in `HELD` hold.
 
     Raises:
         GraphError: a factor has another cost, or information that depends on the state.
@@ -43,10 +45,10 @@ def edges_of_factors(
     fixed: list[int] = []
     groups: dict[tuple[Any, ...], list[FactorDescription]] = defaultdict(list)
     for factor in listed:
-        if isinstance(factor, gtsam.NonlinearEqualityPose2):
+        if isinstance(factor, HELD):
             (key,) = factor.keys()
-            if np.isfinite(factor.error(_elsewhere(values, key))):
-                raise GraphError("a NonlinearEqualityPose2 with an error gain is no constraint")
+            if np.isfinite(factor.error(_elsewhere(values, key, isinstance(factor, gtsam.NonlinearEqualityPose2)))):
+                raise GraphError(f"a {type(factor).__name__} with an error gain is no constraint")
             fixed.append(node[key])
             continue
         if isinstance(factor, LOGARITHM):
@@ -73,10 +75,10 @@ def edges_of_factors(
     return families, state, np.array(fixed, dtype=int)
 
 
-def _elsewhere(values: gtsam.Values, key: int) -> gtsam.Values:
-    """The pose of a key, moved."""
-    moved = gtsam.Values()
-    moved.insert(key, values.atPose2(key).compose(gtsam.Pose2(1.0, 1.0, 1.0)))
+def _elsewhere(values: gtsam.Values, key: int, is_pose: bool) -> gtsam.Values:
+    """The pose or the point of a key, moved."""
+    moved, pose = gtsam.Values(), gtsam.Pose2(*_value(values, key)).compose(gtsam.Pose2(1.0, 1.0, 1.0))
+    moved.insert(key, pose if is_pose else pose.translation())
     return moved
 
 
@@ -187,7 +189,7 @@ def certify(graph: Graph | gtsam.NonlinearFactorGraph, solution: Solution | Arra
 
     Args:
         graph: with the edges whose cost is minimised; or a GTSAM graph of the factors of `graphslam.factors`, in which
-            `gtsam.NonlinearEqualityPose2` may hold poses. Its cost J is twice GTSAM's error.
+            `gtsam.NonlinearEqualityPose2` and ``NonlinearEqualityPoint2`` may hold nodes. Its cost J is twice GTSAM's error.
         solution: a `Solution` of this graph, a state (n, 3) of its nodes, or, where no landmarks are nodes, all poses
             (T+1, 3) of the trajectory; for a GTSAM graph its `gtsam.Values`.
 
@@ -205,7 +207,7 @@ def certify(graph: Graph | gtsam.NonlinearFactorGraph, solution: Solution | Arra
             families, state, fixed = edges_of_factors(graph, values)
         except GraphError as error:
             return Certificate(NOT_APPLICABLE, np.nan, np.nan, str(error), time.perf_counter() - begin)
-        # no number where the values violate a NonlinearEqualityPose2
+        # no number where the values violate a constraint
         return prove_edges(families, state, fixed, 2 * graph.error(values))
     if isinstance(solution, Solution):
         if solution.graph is graph:

@@ -17,7 +17,6 @@ from .. import factors as factor_types
 from ..edges.robust import Kernel
 from ..errors import GraphError, checks
 from ..graph import Graph
-from ..graph.build import node_names
 from ..se2 import Array, wrap
 
 #: how edges become factors
@@ -43,7 +42,7 @@ def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fa
     """
     checks.check_choice("factors", factors, FACTORS)
     for family in graph.families:
-        if isinstance(family, edges.RelativePoseEdges | edges.RelativePointEdges):
+        if isinstance(family, edges.RelativePoseEdges | edges.RelativePointEdges | edges.PositionEdges):
             _check_information(graph, family)
     reference = without_turns(graph.initial if reference is None else reference)
     made = gtsam.NonlinearFactorGraph()
@@ -64,18 +63,23 @@ def held_nodes(graph: Graph) -> Iterator[gtsam.NonlinearFactor]:
 
 
 def without_turns(poses: Array) -> Array:
-    """Poses (n, 3) with headings in [-pi, pi): those of trajectories count turns, and factors take many for degrees."""
+    """Poses (n, 3) with headings in [-pi, pi): those of drives count turns, and factors take many for degrees."""
     return np.column_stack([poses[:, :2], wrap(poses[:, 2])])
 
 
-def _check_information(graph: Graph, family: edges.RelativePoseEdges | edges.RelativePointEdges) -> None:
+def _check_information(
+    graph: Graph, family: edges.RelativePoseEdges | edges.RelativePointEdges | edges.PositionEdges
+) -> None:
     """Raise `GraphError` where information is not positive definite, by its leading minors."""
-    signs = [np.linalg.slogdet(family.information[:, :k, :k])[0] for k in range(1, family.rows + 1)]
+    signs = [np.linalg.slogdet(family.information[:, :k, :k])[0] for k in range(1, family.measured.shape[1] + 1)]
     if (singular := np.any(np.array(signs) <= 0, axis=0)).any():
         k = int(np.argmax(singular))
-        ends = node_names(np.array([family.first[k], family.second[k]]), graph.pose_ids, graph.landmark_ids)
+        if isinstance(family, edges.PositionEdges):
+            which = f"the position of {graph.names(family.nodes[[k]])}"
+        else:
+            which = f"the edge between {graph.names(np.array([family.first[k], family.second[k]]))}"
         raise GraphError(
-            f"the edge between {ends} has information without an inverse, for which GTSAM has no noise model: give what it "
+            f"{which} has information without an inverse, for which GTSAM has no noise model: give what it "
             "does not measure a small information, such as 1e-6, or use graphslam.solve"
         )
 
@@ -143,7 +147,7 @@ def _stacked(
         i, j = places.reshape(2, -1)
         points = 0 if graph.landmark_dimension == 3 else int(np.sum(keys >= len(graph.steps)))
         yield factor_types.RelativeEdgesFactor(
-            keys.tolist(), i, j, measured[rows], information[rows], points=points, frame=frame,
+            keys.tolist(), i, j, without_turns(measured[rows]), information[rows], points=points, frame=frame,
             at=reference[first[rows], 2], edge_kernel=kernel, robust=robust[rows],
         )  # fmt: skip
 
@@ -172,7 +176,7 @@ def _factors_of(
         yield from factors_of_single_numbers(family)
     elif isinstance(family, edges.RelativePoseEdges):
         kernel = getattr(family, "kernel", None)
-        for i, j, z, omega in _rows(family.first, family.second, family.measured, family.weighed):
+        for i, j, z, omega in _rows(family.first, family.second, without_turns(family.measured), family.weighed):
             yield factor_types.RelativePoseFactor(i, j, z, omega, frame=family.frame, at=reference[i], kernel=kernel)
     elif isinstance(family, edges.RelativePointEdges):
         for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):

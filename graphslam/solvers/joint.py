@@ -199,7 +199,8 @@ def _edges_at(graph: Graph, nodes: np.ndarray) -> list[str]:
         group = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
         for g in np.unique(group[inside[tied]]).tolist():
             ends = np.unique(tied[starts[g] : starts[g + 1]])
-            (within if np.all(inside[ends]) else leading_out).append(f"between {graph.names(ends)}")
+            names = f"{'between' if len(ends) > 1 else 'at'} {graph.names(ends)}"
+            (within if np.all(inside[ends]) else leading_out).append(names)
     return leading_out + within
 
 

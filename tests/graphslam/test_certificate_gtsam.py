@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from graphslam import MotionModel, OptionError, certify
+from graphslam import Graph, MotionModel, OptionError, certify, solve
 from graphslam.se2 import between
 
 
@@ -72,6 +72,19 @@ def test_gtsam_graphs_of_our_factors(farther):
     assert "logarithm" in refused.reason
     with pytest.raises(OptionError, match="nothing at the key"):
         certify(graph, gtsam.Values())
+
+
+def test_landmarks_that_are_held_are_certified(clean_log):
+    pytest.importorskip("gtsam")
+    from graphslam.solvers.gtsam_factors import to_gtsam, to_values
+
+    log = clean_log.without_orientation()
+    known = {j: place[:2] for j, place in log.true_landmarks.items()}
+    graph = Graph.from_log(log, edges="landmark+motion", kernel="none", map=known)
+    solution = solve(graph)
+    ours, theirs = solution.certificate, certify(to_gtsam(graph), to_values(graph, solution.state))
+    assert theirs.status == ours.status
+    assert theirs.lower_bound == pytest.approx(ours.lower_bound, rel=1e-6)
 
 
 def test_gtsam_graph_with_a_fixed_pose_and_a_kernel():

@@ -41,6 +41,11 @@ def test_what_is_loose_is_named(tmp_path, information, message):
         solve(chain(information, tmp_path))
 
 
+def test_edges_of_one_node_are_at_it(tmp_path):
+    with pytest.raises(GraphError, match="which can shift; the edges there are at pose 0; between poses 0 and 1;"):
+        solve(chain([FULL] * 4, tmp_path, "EDGE_PRIOR_SE2_XY 0 0 0 4 0 0\n"))
+
+
 def test_an_unseen_landmark_coordinate(tmp_path):
     extra = "VERTEX_XY 77 3 3\nEDGE_SE2_XY 4 77 1 1 1 0 0\n"
     with pytest.raises(GraphError, match="do not determine landmark 77: nothing holds its y"):

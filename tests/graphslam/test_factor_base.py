@@ -17,6 +17,9 @@ from graphslam.factors import (
     LandmarkFactor,
     MotionFactor,
     ObservationFactor,
+    PositionFactor,
+    PriorFactor,
+    RelativeEdgesFactor,
     RelativePointFactor,
     RelativePoseFactor,
     ResidualFactor,
@@ -26,7 +29,7 @@ from graphslam.factors import (
 
 X1, X2, M = gtsam.symbol("x", 1), gtsam.symbol("x", 2), gtsam.symbol("m", 1)
 HEAD = """
-import gtsam, numpy as np
+import gtsam, graphslam, numpy as np
 from graphslam import FactorError, OptionError
 from graphslam.factors import *
 X1, X2, M = gtsam.symbol("x", 1), gtsam.symbol("x", 2), gtsam.symbol("m", 1)
@@ -70,6 +73,11 @@ ABUSES = [
     ("relative pose in degrees", "RelativePoseFactor(X1, X2, [1, 0, 45], np.eye(3))", "OptionError", "heading of measured is 45 rad"),
     ("frozen in degrees", "MotionFactor(X1, X2, [1, 0], 1.0, frame='world', at=[0, 0, 90])", "OptionError", "heading of at is 90 rad"),
     ("relative edges in degrees", "RelativeEdgesFactor([X1, X2], [0], [1], [[1, 0, 45]], [np.eye(3)])", "OptionError", "heading of measured is 45 rad"),
+    ("prior in degrees", "PriorFactor([X1], [[0, 0, 90]], np.eye(3))", "OptionError", "heading of values is 90 rad"),
+    ("position in degrees", "PositionFactor(X1, [0, 0, 90], np.eye(3))", "OptionError", "heading of measured is 90 rad"),
+    ("more points than keys", "PriorFactor([X1], [[0, 0, 0]], np.eye(3), points=2)", "OptionError", "points must be at most 1"),
+    ("complex residual", "solved(ResidualFactor([X1], lambda a: (np.array([1j]), [np.ones((1, 3))]), [[1]]), values())", "FactorError", "it is complex"),
+    ("kernel of no kind", "AnchorFactor(X1, [0, 0, 0], kernel=graphslam.edges.robust.Kernel(2.0))", "OptionError", "kernel must be"),
     ("landmark without poses", "LandmarkFactor([], np.zeros((0, 3)))", "OptionError", "at least one sighting"),
     ("landmark rows", "LandmarkFactor([X1, X2], [[1, 0, 0]])", "OptionError", "2 rows of 2 or 3"),
 ]  # fmt: skip
@@ -325,6 +333,15 @@ GOOD = {
     RelativePoseFactor: {"key_1": 1, "key_2": 2, "measured": [1, 0, 0.1], "information": np.eye(3)},
     RelativePointFactor: {"pose_key": 1, "landmark_key": 2, "measured": [1, 0], "information": np.eye(2)},
     AnchorFactor: {"key": 1, "pose": [0, 0, 0]},
+    PositionFactor: {"key": 1, "measured": [1, 2], "information": np.eye(2)},
+    PriorFactor: {"keys": [1], "values": [[0, 0, 0]], "information": np.eye(3)},
+    RelativeEdgesFactor: {
+        "keys": [1, 2],
+        "first": [0],
+        "second": [1],
+        "measured": np.zeros((1, 3)),
+        "information": np.eye(3)[None],
+    },
     ResidualFactor: {"keys": [1], "residual": lambda a: a, "information": np.eye(3)},
 }
 
@@ -338,6 +355,15 @@ def test_every_wrong_argument_is_refused_in_a_sentence(kind):
                 kind(**{**GOOD[kind], name: wrong})
             except SlamError as error:
                 assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize("weight", ["pairs", "marginal"])
+def test_sightings_from_one_pose_alone_say_nothing(weight, capfd):
+    values = gtsam.Values()
+    values.insert(1, gtsam.Pose2())
+    factor = LandmarkFactor([1, 1], [[2, 0.3, 1.2], [2, 0.3, 1.2]], weight=weight)
+    assert factor.linearize(values).error(values.zeroVectors()) == factor.error(values) == pytest.approx(0, abs=1e-20)
+    assert capfd.readouterr().err == ""
 
 
 def test_noise_models_of_gtsam_are_taken_as_information() -> None:

@@ -141,6 +141,11 @@ def test_others_and_functions_are_refused(tmp_path):
             '"factors": [{"kind": "AnchorFactor", "keys": [1], "arguments": {"where": [1, 2]}}]}',
             "factor 0, .*where",
         ),
+        (
+            '{"format": "graphslam factors", "version": 1, '
+            '"factors": [{"kind": "ObservationFactor", "keys": [1, 2], "arguments": {"z": [1e30, 0]}}]}',
+            "factor 0, .*range of z: 1e.30 is too large",
+        ),
     ],
 )
 def test_files_that_are_none(text, message, tmp_path):

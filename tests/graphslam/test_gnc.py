@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graphslam import Graph, GraphError, MotionModel, OptionError, SensorModel, simulate, solve
+from graphslam import Graph, GraphError, MotionModel, OptionError, PoseRelations, SensorModel, simulate, solve
 from graphslam.edges import EdgeFamily, MarginalEdges, PositionEdges
-from graphslam.graph.transform import with_landmark_nodes
+from graphslam.graph.transform import relative_graph, with_landmark_nodes
 from graphslam.metrics import ate
-from graphslam.se2 import wrap
+from graphslam.se2 import between, wrap
 from graphslam.simulation.worlds import WORLDS
 
 SEEDS = range(10)
@@ -145,6 +145,22 @@ def test_edges_written_in_numpy_take_part(kernel):
     np.testing.assert_array_equal(user.trust, own.trust)
     assert user.notes[-1] == own.notes[-1] and "in 0 rounds" not in own.notes[-1]
     assert user.cost == pytest.approx(own.cost, rel=1e-9)
+
+
+def test_relations_of_all_kinds_are_counted():
+    """A graph of relative poses has one family of what were sightings, and one of what were relations."""
+    log = simulate(seed=1, steps=30, clean=True)
+    first, second = np.array([0, 2]), np.array([20, 28])
+    motions = between(log.true_poses[first], log.true_poses[second]) + [[0, 0, 0], [3.0, 0, 0]]
+    log = log.replace(
+        relations=PoseRelations(first=first, second=second, motions=motions, covariances=0.01 * np.eye(3))
+    )
+    graph = Graph.from_log(log, edges="landmark+motion", kernel="none")
+    relative = relative_graph(graph, state=solve(graph.without_kernel, method="gnc").state)
+    solution, count = solve(relative, method="gnc"), relative.with_closures().measurements
+    assert count > len(log.relations)
+    assert len(solution.other_trust["relations"]) == count
+    assert f" of {count} relations" in solution.notes[-1]
 
 
 def test_what_cannot_be(book_log):

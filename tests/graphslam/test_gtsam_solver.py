@@ -7,6 +7,7 @@ import pytest
 from graphslam import (
     Graph,
     GraphError,
+    Log,
     MotionModel,
     OptionError,
     load,
@@ -33,6 +34,18 @@ LOGS = {
 def both(graph):
     """The solutions of the two solvers from the graph's own initial values."""
     return tuple(solver(graph, initialize="given") for solver in (solve, solve_with_gtsam))
+
+
+@pytest.mark.parametrize("factors", ["fastest", "per-edge"])
+def test_many_turns_between_two_poses_are_no_degrees(factors):
+    # a motion of 33 rad, which a factor takes for degrees unless it is wrapped
+    log = Log(
+        dt=[1.0, 11.0, 1.0], controls=[[1, 0.1], [0.01, 3], [1, 0]],
+        steps=[0, 1, 2, 3], landmarks=[5] * 4, sightings=[[3, 0.3], [2, 0.5], [2, 0.9], [1.4, 1.5]],
+    )  # fmt: skip
+    graph = Graph.from_log(log, edges="landmark+motion", noise="book", kernel="none")
+    own, reference = solve(graph), solve_with_gtsam(graph, factors=factors)
+    assert own.cost == pytest.approx(reference.cost, rel=1e-6)
 
 
 LANDMARK_LOGS = [("book", 3), ("book", 2), ("gentle", 3), ("gentle", 2)]

@@ -331,7 +331,7 @@ def test_several_relations_in_one_call(backend: str) -> None:
             together.relate(*ends, motion, covariance)
     with pytest.raises(OptionError, match="motion must be 2 rows of 3 finite numbers"):
         together.relate([3, 4], [5, 6], motion[0], covariance)
-    with pytest.raises(OptionError, match="covariance must be 2 matrices of 3 rows of 3 finite"):
+    with pytest.raises(OptionError, match="covariance must be 2 arrays of 3 rows of 3 finite"):
         together.relate([3, 4], [5, 6], motion, np.array([covariance] * 3))
     np.testing.assert_array_equal(together.poses, before)
 

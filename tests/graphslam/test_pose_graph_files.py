@@ -5,8 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graphslam import FormatError, Graph, GraphError, Log, OptionError, sample_log_path, simulate, solve
-from graphslam.edges import AnchorEdges
+from graphslam import (
+    FormatError,
+    Graph,
+    GraphError,
+    Log,
+    OptionError,
+    sample_log_path,
+    simulate,
+    solve,
+    solve_with_gtsam,
+)
+from graphslam.edges import AnchorEdges, PositionEdges, RelativePoseEdges
 from graphslam.graph.pose_graph import read_pose_graph
 from graphslam.io import read
 from graphslam.se2 import between, compose, turn_matrix, wrap
@@ -415,6 +425,37 @@ def test_angles_in_degrees_and_wrong_closures_are_said(tmp_path):
     closed = written(tmp_path, chain(12, np.pi / 6) + "\nEDGE_SE2 2 8 0 0 0 400 0 0 400 0 10000")
     (note,) = solve(Graph.from_g2o(closed, format="g2o")).notes
     assert re.match(r"J is [\d,]+ times what the information of the edges predicts: edges are wrong", note)
+
+
+def test_bearings_in_degrees_are_said(tmp_path):
+    seen = "EDGE_BEARING_SE2_XY 0 9 45 400\nEDGE_BEARING_SE2_XY 1 9 90 400\n"
+    with pytest.warns(UserWarning, match=r"2 edges, the first one in line 10, turn by more than 2 pi \(45 rad\)"):
+        Graph.from_g2o(written(tmp_path, SQUARE + seen))
+
+
+def test_priors_without_information_on_the_heading_leave_it_to_an_anchor(tmp_path):
+    graph = Graph.from_g2o(written(tmp_path, SQUARE + "EDGE_PRIOR_SE2 0 0.1 0 0.3 4 0 0 4 0 0\n"))
+    np.testing.assert_allclose(solve(graph).poses[0], [0.1, 0, 0], atol=1e-9)
+    with pytest.raises(GraphError, match="the position of pose 0 has information without an inverse"):
+        solve_with_gtsam(graph)
+
+
+@pytest.mark.parametrize("fixed", [[], [2]])
+def test_an_anchor_beside_others_is_no_fixed_node(tmp_path, fixed):
+    """Written as FIX, J became 14.3 for 0.23."""
+    poses, one = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]]), np.eye(3)
+    odometry = RelativePoseEdges(
+        np.arange(2), np.arange(1, 3), np.tile([1.0, 0, 0], (2, 1)), np.tile(100 * one, (2, 1, 1))
+    )
+    soft = AnchorEdges(np.zeros(1, int), np.array([[0.0, 0.5, 0]]), one[None])
+    places = PositionEdges(np.array([1]), np.array([[1, 0.3]]), 100 * np.eye(2)[None], np.zeros((1, 2)))
+    graph = Graph(
+        poses, families=(soft, odometry, *([] if fixed else [places])), steps=np.arange(3), trajectory=poses,
+        pose_ids=np.arange(3), fixed=np.array(fixed, int),
+    )  # fmt: skip
+    graph.save_g2o(tmp_path / "again.g2o")
+    again = Graph.from_g2o(tmp_path / "again.g2o")
+    assert solve(again).cost == pytest.approx(solve(graph).cost, rel=1e-6)
 
 
 def test_an_edge_that_stands_twice_is_said(tmp_path):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from graphslam import Graph, GraphError, Log, MotionModel, SensorModel, estimate_map, solve, textbook
+from graphslam import Graph, GraphError, Log, MotionModel, PartialSightings, SensorModel, estimate_map, solve, textbook
 from graphslam.linear.cholesky import NotFinite, analyze
 from graphslam.linear.precision import inverses
 
@@ -57,6 +57,18 @@ def test_the_map_names_what_is_too_extreme(book_log):
         estimate_map(book_log, book_log.initial_poses, sensor=SensorModel(orientation_std=1e-10))
     with pytest.raises(GraphError, match="range_rate of the noise model: 1e\\+30 is too large"):
         estimate_map(book_log, book_log.initial_poses, sensor=SensorModel(range_rate=1e30))
+
+
+@pytest.mark.parametrize("factor", [1e-180, 1e200])
+def test_ranges_alone_have_the_limits_of_others(factor):
+    numbers = PartialSightings(
+        steps=[0, 1, 1], landmarks=[5] * 3, ranges=[2.0, 2.0 * factor, np.nan], bearings=[np.nan, np.nan, 1.0]
+    )
+    log = Log(
+        dt=[1.0], controls=[[1, 0]], steps=[], landmarks=[], sightings=np.zeros((0, 2)), partial_sightings=numbers
+    )
+    with pytest.raises(GraphError, match="the ranges alone of log: .* is too (small|large) for double precision"):
+        Graph.from_log(log, noise="book")
 
 
 def test_a_motion_without_noise_names_the_motion_and_epsilon(book_log):

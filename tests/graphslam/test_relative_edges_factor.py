@@ -88,10 +88,17 @@ def test_both_kinds_have_the_same_optimum():
         ({"first": [0, 9]}, "places of keys"),
         ({"first": [0]}, "places of keys"),
         ({"measured": np.zeros((2, 2))}, "measured"),
-        ({"information": np.eye(3)}, "matrices"),
+        ({"information": np.eye(3)}, "arrays"),
         ({"information": -np.tile(np.eye(3), (2, 1, 1))}, "positive definite"),
         ({"frame": "world"}, "at"),
         ({"edge_kernel": "l7"}, "kernel must be"),
+        # a place that is rounded, or a flag too few, would give another cost
+        ({"first": [0.7, 1]}, "places of keys"),
+        ({"second": [0, 2]}, "places of keys"),
+        ({"robust": [True], "edge_kernel": "cauchy"}, "robust must be 2 times True or False"),
+        ({"robust": ["no", "no"]}, "robust must be"),
+        ({"points": 0.5}, "points must be a whole number"),
+        ({"frame": "world", "at": [0, 90]}, "the heading of at is 90 rad"),
     ],
     ids=str,
 )

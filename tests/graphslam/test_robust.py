@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from comparisons.studies.consistency import band, models
 from graphslam import (
     Graph,
+    GraphError,
     Log,
     MotionModel,
     OptionError,
@@ -131,6 +132,18 @@ def test_no_width_follows_from_many_dimensions():
     with pytest.raises(OptionError, match="no default width for residuals of 10 numbers"):
         Huber().of_dimension(10)
     assert Huber(2.0).of_dimension(10) == Huber(2.0)
+
+
+@pytest.mark.parametrize("trust", [np.ones(1), np.full(4, np.nan), "all"], ids=["too few", "nan", "a word"])
+@pytest.mark.parametrize("options", [{"edges": "virtual"}, {"edges": "virtual", "weight": "marginal"}, {}], ids=str)
+def test_a_trust_of_another_shape_is_refused(trust, options):
+    """The engine would read beyond it: with one number for three sightings J was 1e-320."""
+    log = Log(
+        dt=[1.0], controls=[[1, 0]], steps=[0, 0, 1, 1], landmarks=[1, 2] * 2, sightings=[[2, 0.5, 0], [3, -0.5, 0]] * 2
+    )
+    (family,) = (f for f in Graph.from_log(log, noise="book", **options).families if isinstance(f, SightingEdges))
+    with pytest.raises(GraphError, match="trust"):
+        family.with_trust(trust)
 
 
 def test_a_kernel_without_a_width_has_no_weights():

@@ -58,10 +58,20 @@ def test_impossible_requests(book_log, shared_data):
         textbook.solve(book_log.without_orientation(), dimensions=3)
     with pytest.raises(OptionError, match="threshold must not be negative, but is -1"):
         textbook.solve(book_log, threshold=-1)
+    for wrong in ({"motion_copies": 1.5}, {"max_iterations": -1}, {"max_iterations": "9"}, {"dimensions": 2.0}):
+        (name,) = wrong
+        with pytest.raises(OptionError, match=f"{name} must "):
+            textbook.solve(book_log, **wrong)
     # which never ends before max_iterations
     assert len(textbook.solve(book_log, threshold=0.0, max_iterations=1).step_norms) == 1
     with pytest.raises(OptionError, match="log must be a Log, not 'drive.npz'; graphslam.load"):
         textbook.solve("drive.npz")
+
+
+def test_poses_that_one_landmark_leaves_open_are_refused():
+    # rounding made the pivots 1e-16 in place of 0, and the steps 1e15 m
+    with pytest.raises(GraphError, match="the edges do not determine every pose"):
+        textbook.solve(load(sample_log_path()).without_orientation(), edges="virtual")
 
 
 @pytest.mark.slow

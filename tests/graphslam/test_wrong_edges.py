@@ -14,7 +14,15 @@ import pytest
 from certified_graphs import ring
 
 from graphslam import Graph, GraphError, OptionError, SensorModel, load, sample_log_path, solve, solve_many
-from graphslam.edges import AnchorEdges, ConstantEdges, EdgeFamily, MarginalEdges, RelativePoseEdges
+from graphslam.edges import (
+    AnchorEdges,
+    ConstantEdges,
+    EdgeFamily,
+    LandmarkSightings,
+    MarginalEdges,
+    RelativePoseEdges,
+    VirtualMotionEdges,
+)
 from graphslam.edges.base import Linearization, PairEdges, Relations
 from graphslam.edges.observation import CartesianObservationEdges, RangeEdges
 from graphslam.edges.priors import PositionEdges
@@ -196,6 +204,31 @@ def test_wrong_groups_of_a_family_in_numpy() -> None:
             GraphError, match=r"starts of cliques\(\) must not decrease from 0 to the number of its nodes, 4"
         ):
             replace(graph, families=(*graph.families, FixEdges(np.arange(4), np.zeros((4, 2)), spread)))
+
+
+def test_a_family_in_numpy_with_a_kernel_is_proven_for_its_weights() -> None:
+    class Robust(FixEdges):
+        kernel = Huber(0.1)
+
+        def constant(self, state: np.ndarray) -> ConstantEdges:
+            here, nothing = self.linearize(state, state), np.zeros((self.count, 2))
+            weights = self.kernel.weight(here.mahalanobis)[:, None, None]
+            from_world = np.full(self.count, -1)
+            return ConstantEdges(from_world, self.nodes, self.measured, nothing, None, here.information * weights)
+
+    graph = ring(6)
+    solution = solve(replace(graph, families=(*graph.families, Robust(np.arange(4), np.zeros((4, 2))))))
+    assert solution.certificate.status == "global for its weights"
+
+
+@pytest.mark.parametrize("kind", [MarginalEdges, VirtualMotionEdges])
+def test_sightings_of_a_landmark_in_another_order_are_refused(kind: type[LandmarkSightings]) -> None:
+    """Their J was right, and Omega was not."""
+    graph, z = ring(6), np.array([[1.4, 0.8, 0.0], [1.0, 1.5, 0.3], [1.4, 2.3, -0.2], [1.0, 0.2, 0.1]])
+    starts = np.array([0, 3, 4])
+    replace(graph, families=(*graph.families, kind(starts, np.array([1, 1, 2, 0]), z, SensorModel())))
+    with pytest.raises(GraphError, match=r"must not decrease, but node 0 follows node 2: sort them"):
+        replace(graph, families=(*graph.families, kind(starts, np.array([1, 2, 0, 0]), z, SensorModel())))
 
 
 def test_a_family_in_numpy_that_returns_other_things() -> None:
