@@ -247,13 +247,17 @@ def agree(labels: np.ndarray, known: np.ndarray) -> bool:
     return len(pairs) == len(np.unique(pairs[:, 0])) == len(np.unique(pairs[:, 1]))
 
 
-def names(labels: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
-    """The id (L,) of each label 0 to L - 1 (M,): that of its sightings in ``landmarks`` (M,), else one above all of these."""
+def names(labels: np.ndarray, landmarks: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """The id (L,) of each label 0 to L - 1 (M,): that of its sightings in ``landmarks`` (M,), else one above all ids.
+
+    ``others`` are ids that further landmarks have, such as those with ranges or bearings alone.
+    """
     fixed = (landmarks != UNIDENTIFIED) & (labels >= 0)
     found = np.full(int(labels.max(initial=-1)) + 1, UNIDENTIFIED)
     found[labels[fixed]] = landmarks[fixed]
     new = found == UNIDENTIFIED
-    found[new] = max(int(landmarks[fixed].max(initial=-1)), -1) + 1 + np.arange(np.count_nonzero(new))
+    highest = int(np.append(landmarks[fixed], others).max(initial=-1))
+    found[new] = highest + 1 + np.arange(np.count_nonzero(new))
     return found
 
 
