@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..association.associate import robot_of
-from ..errors import LogError, checks
+from ..errors import LogError, OptionError, checks
 from ..identification.corrections import without_biases
 from ..identification.declared import CORRECTIONS, PLACE, of_sensor_alone
 from ..identification.odometry import OF_SENSOR, with_variances
@@ -217,7 +217,8 @@ def calibrate(
         check_is_log(each)
     if degrees is not None:
         checks.check_not_negative(degrees=degrees)
-        degrees = float(checks.array_of("degrees", degrees))
+        if (degrees := float(degrees)) == 0:
+            raise OptionError("degrees must be above zero, not 0: 1 is Cauchy's distribution, infinity a Gaussian")
     checks.check_choice("source", source, SOURCES)
     motion, sensor = logs[0].noise_models(motion, sensor)
     moved = sum(map(true_motions, logs))

@@ -29,7 +29,7 @@ from graphslam import (
 from graphslam.association import assignment, associate_from, score
 from graphslam.association.ambiguity import readable
 from graphslam.association.assignment import Candidates, evidence, log_density
-from graphslam.association.map_solution import MapSolution, Problem, seen_from
+from graphslam.association.map_solution import MapSolution, Places, Problem, seen_from
 from graphslam.association.problem import AssociationOptions, Densities
 from graphslam.linear.cholesky import analyze
 from graphslam.linear.information import BlockSystem
@@ -194,6 +194,17 @@ def test_clutter_and_misses() -> None:
         exact += found.landmarks == len(log.landmark_ids)
         precise.append(score(found.ids, log.landmarks).precision)
     assert exact == 6 and np.mean(precise) > 0.95
+
+
+def test_the_gate_of_a_sighting_is_that_of_the_covariance_of_its_landmark() -> None:
+    """Along the widest direction of a landmark whose coordinates are correlated."""
+    own, gate = np.array([[[1.0, 0.99], [0.99, 1.0]]]), assignment.gates(0.999, 2, 1)[1]
+    far = np.sqrt(np.linspace(0.05, 0.99, 20) * gate * (1.99 + 1e-4) / 2)
+    seen = Places(np.column_stack([far, far]), np.tile(1e-4 * np.eye(2), (20, 1, 1)))
+    chosen, _ = assignment.assign(
+        seen, np.arange(20), np.zeros((1, 2)), own, 0.999, lambda item, _: np.full(len(item), 50.0)
+    )
+    assert np.all(chosen == 0)
 
 
 def test_each_sighting_by_itself_finds_clear_landmarks() -> None:

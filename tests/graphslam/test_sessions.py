@@ -233,6 +233,18 @@ def test_one_log_is_itself() -> None:
         Graph.from_log(joined)  # type: ignore[arg-type]
 
 
+def test_classes_of_joined_logs_are_words_where_one_has_words_and_unknown_where_one_has_none() -> None:
+    first, second, third = cut(drive(), 3)
+    first = first.replace(classes=np.where(first.landmarks % 2, "blue", ""))
+    second = second.replace(classes=np.where(second.landmarks % 2, second.landmarks, UNIDENTIFIED))
+    joined = join_logs([first, second, third]).log
+    odd, of_third = joined.landmarks % 2 == 1, joined.steps >= joined.drives[2].start
+    known = np.where(joined.steps < joined.drives[1].start, "blue", joined.landmarks.astype(str))
+    assert joined.classes.tolist() == np.where(odd & ~of_third, known, "").tolist()
+    assert np.array_equal(joined.classified, odd & ~of_third)
+    assert join_logs([second, third]).log.classes.dtype.kind == "i" and join_logs([third, third]).log.classes is None
+
+
 def test_logs_that_cannot_be_joined() -> None:
     first, second = cut(drive(), 2)
     with pytest.raises(GraphError, match="share no landmark"):

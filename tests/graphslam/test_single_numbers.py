@@ -277,6 +277,12 @@ def test_the_world_is_as_it_says() -> None:
     assert SensorModel().h is not None
 
 
+@pytest.mark.parametrize("name", ["poses", "landmarks", "every", "lanes"])
+def test_a_world_without_anything_is_refused(name: str) -> None:
+    with pytest.raises(OptionError, match="poses, landmarks, every and lanes must be at least 1"):
+        simulate_single_numbers("range", **{name: 0})
+
+
 def test_an_empty_cell_of_a_table_is_a_sighting_with_one_number() -> None:
     seconds = [0.1 * k for k in range(101)]
     log = Log.from_tables(
