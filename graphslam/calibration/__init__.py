@@ -88,9 +88,12 @@ class Calibration:
         """The joint estimate from several logs of one robot.
 
         Logarithms of standard deviations, and biases, are weighted by their information; the factors for correlated errors,
-        whose errors are not known, count alike. The prior of a bias counts once.
+        whose errors are not known, count alike. The prior of a bias counts once. A log that the book's noise fits better than
+        an estimate counts only if there is no other one.
         """
-        every = (found, *others)
+        logs = (found, *others)
+        every = [one for one in logs if one.errors] or [*logs]
+        found = every[0]
         (means, deviations, disagreements, contradictions), motion, sensor = _noise(every), found.motion, found.sensor
         priors = {name: prior for one in every for name, prior in one.parameters.priors.items()}
         ideal = {name: mean for name, (mean, _) in priors.items()}
@@ -107,7 +110,7 @@ class Calibration:
             pulled[k] += own @ (one.parameters.values - [ideal[name] for name in one.parameters.names])
         covariance = np.linalg.inv(information)
         biases = {name: ideal[name] + change for name, change in zip(priors, (covariance @ pulled).tolist())}
-        if others:
+        if len(every) > 1:
             shared = {name: float(np.exp(2 * mean)) for name, mean in means.items()}
             motion = with_variances(motion, {n: v for n, v in shared.items() if n not in OF_SENSOR})
             sensor = with_variances(sensor, {n: v for n, v in shared.items() if n in OF_SENSOR})
@@ -124,12 +127,21 @@ class Calibration:
             counts={
                 "motion": sum(one.log.num_poses - 1 for one in every), "sensor": sum(len(one.log.steps) for one in every),
             },
-            misread=float(np.average([one.ids.share for one in every], weights=[len(one.ids.changed) for one in every])),
+            misread=float(np.average([one.ids.share for one in logs], weights=[len(one.ids.changed) for one in logs])),
             inflation=float(np.exp(np.mean([np.log(one.inflation) for one in every]))),
-            source="residuals", logs=tuple(one.log.name for one in every),
+            source="residuals", logs=tuple(one.log.name for one in logs),
             notes=(
                 *disagreements,
-                *(f"{one.log.name}: {said}" if others else said for one in every for said in one.remarks),
+                *(
+                    f"{one.log.name}: {said}" if others else said
+                    for one in every
+                    for said in (one.remarks if one.errors else one.sentences)
+                ),
+                *(
+                    f"{one.log.name} does not count: {one.basis} predicts its sightings better than an estimate from it"
+                    for one in logs
+                    if one not in every
+                ),
             ),
             doubts=(
                 *contradictions,
