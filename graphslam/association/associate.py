@@ -290,8 +290,7 @@ def _report(
     """The association of the log as it was recorded, found with another robot."""
     robot, values, end = competition.robot, competition.values, competition.ends[competition.best]
     refined, graph = end.refined, end.refined.solution.graph
-    single = () if log.partial_sightings is None else log.partial_sightings.landmarks
-    name = np.append(names_of(refined.labels, given.log.landmarks, np.array(single, dtype=np.int64)), UNIDENTIFIED)
+    name = np.append(names_of(refined.labels, given.log.landmarks, log.partial_sightings), UNIDENTIFIED)
     found = Association(
         of=log, ids=name[refined.labels],
         margins=np.where(refined.labels < 0, np.inf, refined.margins), poses=refined.solution.poses, rounds=refined.rounds,
