@@ -125,7 +125,7 @@ class Calibration:
             motion=motion, sensor=sensor, **{name: value for name, value in biases.items() if name not in PLACE},
             errors=errors | dict(zip(priors, np.sqrt(np.diag(covariance)).tolist())),
             counts={
-                "motion": sum(one.log.num_poses - 1 for one in every), "sensor": sum(len(one.log.steps) for one in every),
+                "motion": sum(one.log.num_poses - 1 for one in every), "sensor": sum(_sightings(one.log) for one in every),
             },
             misread=float(np.average([one.ids.share for one in logs], weights=[len(one.ids.changed) for one in logs])),
             inflation=float(np.exp(np.mean([np.log(one.inflation) for one in every]))),
@@ -308,11 +308,13 @@ def _with_true_motion(found: Calibration, motion: MotionModel, moved: VarianceFi
     relative = [found.errors.get("wheel_scale", 0.0) / found.wheel_scale, np.nan_to_num(errors["wheel_scale"])]
     biases: dict[str, Any] = {"turn_scale": 1.0, "curvature_bias": 0.0, "range_scale": 1 / factor} | means
     known = {name: error for name, error in found.errors.items() if name not in biases}
-    known |= {"range_scale": math.hypot(*relative) / factor} | {name: known[name] * factor for name in LENGTHS}
+    known |= {"range_scale": math.hypot(*relative) / factor} | {
+        name: known[name] * factor for name in LENGTHS if name in known
+    }
     longer: dict[str, Any] = {name: getattr(found.sensor, name) * factor for name in LENGTHS}
     note = (
-        "there is no true map: the numbers of the motion, with wheel_scale and turn_rate_bias, are from the true poses, and "
-        "those of the sensor from residuals"
+        "no true landmark is known to be seen with range and bearing: the numbers of the motion, with wheel_scale and "
+        "turn_rate_bias, are from the true poses, and those of the sensor from residuals"
     )
     return replace(
         found,
@@ -376,10 +378,15 @@ def _noise(every: Sequence[RobotEstimate]) -> tuple[dict[str, float], dict[str, 
     return dict(zip(names, together.tolist())), dict(zip(names, deviations.tolist())), notes, doubts
 
 
+def _sightings(log: Log) -> int:
+    """The number of sightings, those of a range or a bearing alone included."""
+    return len(log.steps) + len(log.partial_sightings or ())
+
+
 def _check(logs: tuple[Log, ...], source: str) -> None:
     """Raise `LogError` where a log lacks what is needed, or the logs are of different kinds."""
     for log in logs:
-        if len(log.steps) == 0:
+        if not _sightings(log):
             raise LogError(f"{log.name} has no sightings at all, so the noise of the sensor cannot be estimated")
         if source == "truth" and not log.identified:
             raise LogError(
