@@ -318,10 +318,15 @@ def measurements(
     """Yield for every step: the control that led to it (None at the first), its duration, the ids and the sightings.
 
     Raises:
-        LogError: the log has no controls, several controls in a step, a sensor at an offset, or a motion model with slip.
+        LogError: the log has no controls, several controls in a step, a sensor at an offset, sightings without ids, or a
+            motion model with slip.
     """
     if log.controls is None or log.dt is None:
         raise LogError(f"{log.name} has no controls, and a particle filter moves its particles by them")
+    if not log.identified:
+        raise LogError(
+            f"{log.name} has sightings without ids; the lectures' filter takes those of known landmarks only"
+        )
     if log.composite or not sensor.centred:
         raise LogError(f"{log.name}: the lectures' filter takes one control a step, and a sensor at the robot's pose")
     if motion.slip > 0:

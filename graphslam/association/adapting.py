@@ -9,6 +9,8 @@ then R = k (slip + error) with k = N c / (N c + s²) and V = k s². Therefore
 
     k = 1 - V / (N c),    variance of a motion = mean of (R² / k² - V / k) / N.
 
+Motions across gaps in the odometry do not count: their noise says nothing about the slip of the others.
+
 **Competition.** Several starts of an association compete by evidence until two of them end alike (`compete`). One start may
 end in a wrong association that no single change improves. Another one, with other random numbers or by another method, then
 ends elsewhere. Starts that end alike are the cheapest sign that the search did not fail.
@@ -24,6 +26,7 @@ import numpy as np
 from ..graph import Graph
 from ..identification.corrections import corrected_log, corrected_sensor
 from ..identification.declared import ParameterEstimate
+from ..identification.odometry import ordinary
 from ..log import Log
 from ..maps.registration import evenly
 from ..metrics import ate
@@ -82,7 +85,7 @@ def slipping(robot: Robot, labels: np.ndarray, poses: Array) -> Robot:
     """The robot with the slip of its log in its noise model, from labels (M,) and poses (T+1, 3)."""
     T = len(poses) - 1
     N = T // WINDOWS
-    if N < SHORTEST:
+    if N < SHORTEST or len(t := np.flatnonzero(ordinary(robot.log)[: T // N * N])) == 0:
         return robot
     usual = robot.backbone.motions
     far = np.hypot(*usual.measured[:, :2].T)
@@ -93,20 +96,21 @@ def slipping(robot: Robot, labels: np.ndarray, poses: Array) -> Robot:
     solution = MapSolution.of(free.backbone, labels, poses)
     motions = solution.graph.families[-1]
     ends = motions.linearize(solution.state, solution.state)
-    count = T // N
-    window, r = np.arange(count * N) // N, ends.residuals[: count * N, 1]
-    sums = np.bincount(window, r - r.mean())
-    rows = np.zeros((*solution.state.shape, count))
+    window, r = t // N, ends.residuals[t, 1]
+    n = np.bincount(window, minlength=T // N)
+    sums = np.bincount(window, r - r.mean(), len(n))
+    rows = np.zeros((*solution.state.shape, len(n)))
     for nodes, B in zip(ends.nodes, ends.jacobians):
         # no node begins, or ends, two motions
-        rows[nodes[: count * N], :, window] += B[: count * N, 1]
+        rows[nodes[t], :, window] += B[t, 1]
     V = np.einsum("nic,nic->c", rows, Uncertainty(solution.graph, solution.state).solve(rows))
-    k = 1 - V / (N * loose**2)
-    informed = k > MIN_DETERMINED
-    if np.count_nonzero(informed) < count / 2:
+    k = 1 - V / (np.maximum(n, 1) * loose**2)
+    informed = (n > N / 2) & (k > MIN_DETERMINED)
+    if np.count_nonzero(informed) < len(n) / 2:
         return robot
-    variance = float(np.mean(sums[informed] ** 2 / k[informed] ** 2 - V[informed] / k[informed])) / N
-    allowed = float(np.mean(np.linalg.inv(usual.information)[:, 1, 1]))
+    n, k, V = n[informed], k[informed], V[informed]
+    variance = float(np.mean((sums[informed] ** 2 / k**2 - V / k) / n))
+    allowed = float(np.mean(np.linalg.inv(usual.information)[t, 1, 1]))
     if variance <= MIN_VARIANCE_RATIO * allowed:
         return robot
     slip = np.sqrt(robot.motion.slip**2 + (variance - allowed) / float(np.mean(far)))

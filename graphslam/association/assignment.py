@@ -218,8 +218,9 @@ def assign(
     from scipy.spatial import cKDTree
 
     limit = float(gates(gate, world.means.shape[1], 1)[1])
-    spread = np.trace(world.covariances[:, :2, :2], axis1=1, axis2=2)
-    radius = np.sqrt(limit * (spread + np.max(own[:, :2, :2], initial=0.0)))
+    # the trace is no less than the largest variance in any direction
+    spread, most = (np.trace(C[:, :2, :2], axis1=1, axis2=2) for C in (world.covariances, own))
+    radius = np.sqrt(limit * (spread + np.max(most, initial=0.0)))
     lists = cKDTree(landmarks[:, :2]).query_ball_point(world.means[:, :2], radius)
     item = np.repeat(np.arange(len(lists)), [len(each) for each in lists])
     landmark = np.fromiter((j for each in lists for j in each), dtype=np.int64, count=len(item))

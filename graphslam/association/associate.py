@@ -110,7 +110,7 @@ class Association:
     Attributes:
         of: the log that was associated; its own ids were not used, unless only some sightings have one.
         ids: (M,) the landmark of each sighting, numbered from 0 in the order of discovery; `UNIDENTIFIED` for clutter. Ids
-            of the log that were kept stay, and other landmarks have higher numbers.
+            of the log that were kept stay, and other landmarks have higher numbers, also than those of `partial_sightings`.
         margins: (M,) the logarithm of the evidence for the landmark over that for the best other one, or for clutter;
             infinite for clutter, and where an id of the log was kept.
         poses: (T+1, 3) the trajectory of the graph in which the ids were found.
@@ -290,7 +290,7 @@ def _report(
     """The association of the log as it was recorded, found with another robot."""
     robot, values, end = competition.robot, competition.values, competition.ends[competition.best]
     refined, graph = end.refined, end.refined.solution.graph
-    name = np.append(names_of(refined.labels, given.log.landmarks), UNIDENTIFIED)
+    name = np.append(names_of(refined.labels, given.log.landmarks, log.partial_sightings), UNIDENTIFIED)
     found = Association(
         of=log, ids=name[refined.labels],
         margins=np.where(refined.labels < 0, np.inf, refined.margins), poses=refined.solution.poses, rounds=refined.rounds,

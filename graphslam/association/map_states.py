@@ -22,7 +22,7 @@ Source: Skellam, *A probability distribution derived from the binomial distribut
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from typing import Any
 
@@ -31,7 +31,7 @@ import numpy as np
 from ..edges import PriorEdges
 from ..errors import GraphError, OptionError, checks, quoted
 from ..graph import Graph
-from ..log import Log
+from ..log import UNIDENTIFIED, Log
 from ..maps.landmark_map import LandmarkMap, as_map
 from ..maps.map_evidence import log_sum
 from ..maps.registration import Points, register
@@ -160,7 +160,7 @@ def map_states(
     Ids are taken to be right: a new id that was read once may be a misread one.
 
     Args:
-        log: with ids of the map's landmarks, and controls.
+        log: with ids of the map's landmarks, and controls. Sightings of a range or a bearing alone count, too.
         landmarks: the map, in any form that `Graph.from_log` takes.
         prior: the probability that a landmark has moved, and that it is gone, before the log.
         options: of `Graph.from_log`, such as the noise models.
@@ -171,7 +171,15 @@ def map_states(
     if not 0 < prior < 0.5:
         raise OptionError(f"prior must be a probability above 0 and below 0.5, not {quoted(prior)}")
     known = as_map(landmarks)
-    seen = set(log.landmark_ids.tolist()) & set(known)
+    _, measured = _measured(log)
+    ids, counts = (each.tolist() for each in np.unique(measured[measured != UNIDENTIFIED], return_counts=True))
+    seen = set(ids) & set(known)
+    if known and not seen:
+        sees, has = (
+            checks.listed("landmark", sorted(each), most=4) if each else "none by its id" for each in (ids, known)
+        )
+        cause = "is it the map of another place, or are the ids numbered otherwise?"
+        raise GraphError(f"{log.name} sees no landmark of the map: it sees {sees}, and the map has {has}; {cause}")
     # exact landmarks need nodes with errors
     used = known.among(seen).widened(0.0, EXACT_STD)
     if any(len(place) == 2 for place in used.values()):
@@ -179,11 +187,10 @@ def map_states(
         log = log.without_orientation()
     away: set[int] = set()
     tried: list[set[int]] = []
-    compared = False
+    compared, found = False, dict[int, tuple[Array, float, float]]()
     for _ in range(MAX_SOLVES):
-        fresh = _fresh_ids(log, known, away)
-        renamed = log.replace(landmarks=np.array([fresh.get(j, j) for j in log.landmarks.tolist()], dtype=np.int64))
-        built = Graph.from_log(renamed, map=used, **options)
+        fresh = {j: max(0, *ids, *known) + 1 + k for k, j in enumerate(sorted(away))}
+        built = Graph.from_log(_renamed(log, fresh), map=used, **options)
         latest = solve(built)
         graph = latest.graph or built
         assert graph.map is not None
@@ -199,7 +206,9 @@ def map_states(
             if others | away != away:
                 away = away | others
                 continue
-        solution, found = latest, _shifts(latest, fresh, prior)
+        # ranges or bearings alone may contradict the map, and not give another place
+        unplaced = away & set(found) - set(log.landmark_ids.tolist())
+        solution, found = latest, {j: found[j] for j in unplaced} | _shifts(latest, fresh, prior)
         tried.append(away)
         away = _next(solution, found, away, first=len(tried) == 1)
         if seen and seen <= away:
@@ -211,13 +220,13 @@ def map_states(
     places = {**known, **{j: solution.landmarks[j] for j in seen if j not in moved and j in solution.landmarks}}
     views = _views(solution, known, places, log)
     gone = _gone([views[j] for j in sorted(seen) if j not in moved], prior)
-    counts = dict(zip(*(part.tolist() for part in np.unique(log.landmarks, return_counts=True))))
-    states = [LandmarkState(j, NEW, 1.0, seen=counts[j]) for j in log.landmark_ids.tolist() if j not in known]
+    count = dict(zip(ids, counts))
+    states = [LandmarkState(j, NEW, 1.0, seen=count[j]) for j in ids if j not in known]
     for j in known:
         if j in found:
             shift, square, p = found[j]
             name = MOVED if p > 0.5 else AGREES
-            state = LandmarkState(j, name, max(p, 1 - p), p, 0.0, shift[:2], square, views[j].count, seen=counts[j])
+            state = LandmarkState(j, name, max(p, 1 - p), p, 0.0, shift[:2], square, views[j].count, seen=count[j])
             states.append(state)
         else:
             p = gone(views[j].counts)
@@ -275,10 +284,22 @@ def _others(log: Log, known: LandmarkMap, seen: list[int], **options: Any) -> se
     return {j for j, agrees in zip(seen, best.agree) if not agrees}
 
 
-def _fresh_ids(log: Log, known: LandmarkMap, away: set[int]) -> dict[int, int]:
-    """Ids that no landmark has for those that have moved."""
-    free = max(0, *log.landmark_ids.tolist(), *known) + 1
-    return {j: free + k for k, j in enumerate(sorted(away))}
+def _measured(log: Log) -> tuple[np.ndarray, np.ndarray]:
+    """The steps and the ids (M,) of all sightings, also of those of a range or a bearing alone."""
+    single = log.partial_sightings
+    others = ((), ()) if single is None else (single.steps, single.landmarks)
+    return np.append(log.steps, others[0]).astype(np.int64), np.append(log.landmarks, others[1]).astype(np.int64)
+
+
+def _renamed(log: Log, names: dict[int, int]) -> Log:
+    """The log in which some landmarks have other ids."""
+
+    def of(landmarks: np.ndarray) -> np.ndarray:
+        return np.array([names.get(j, j) for j in landmarks.tolist()], dtype=np.int64)
+
+    single = log.partial_sightings
+    other = None if single is None else replace(single, landmarks=of(single.landmarks))
+    return log.replace(landmarks=of(log.landmarks), partial_sightings=other)
 
 
 def _shifts(solution: Solution, fresh: dict[int, int], prior: float) -> dict[int, tuple[Array, float, float]]:
@@ -290,6 +311,8 @@ def _shifts(solution: Solution, fresh: dict[int, int], prior: float) -> dict[int
     graph = solution.graph
     assert graph is not None and graph.log is not None and graph.map is not None
     used, seen = graph.map, set(graph.log.landmarks[graph.sighting_rows].tolist())
+    if graph.log.partial_sightings is not None:
+        seen |= set(graph.log.partial_sightings.landmarks.tolist()) & set(solution.landmarks)
     d, ids = graph.landmark_dimension, [j for j in used if fresh.get(j, j) in seen]
     fresh = {j: fresh[j] for j in ids if j in fresh}
     if not ids:
@@ -348,7 +371,7 @@ def _weighed_down(solution: Solution, known: set[int]) -> set[int]:
     assert graph is not None and graph.log is not None
     weights = graph.sighting_weights(solution.state)
     ids = graph.log.landmarks[graph.sighting_rows]
-    return {j for j in known if np.median(weights[ids == j]) < 0.5}
+    return {j for j in known & set(ids.tolist()) if np.median(weights[ids == j]) < 0.5}
 
 
 def _views(solution: Solution, known: LandmarkMap, places: Mapping[int, Array], log: Log) -> dict[int, _Views]:
@@ -358,7 +381,7 @@ def _views(solution: Solution, known: LandmarkMap, places: Mapping[int, Array], 
     graph = solution.graph
     assert graph is not None and graph.sensor is not None
     field = Field.of(log, graph.sensor)
-    scans = np.unique(log.steps)
+    scans, (steps, measured) = np.unique(log.steps), _measured(log)
     poses, P = solution.poses[scans], solution.covariance()[scans]
     eyes = graph.sensor.mount(poses)
     covariances = {**known.covariances, **solution.landmark_covariances}
@@ -380,7 +403,7 @@ def _views(solution: Solution, known: LandmarkMap, places: Mapping[int, Array], 
         inside *= ndtr((wide - bearings) / of_bearing) - ndtr((-wide - bearings) / of_bearing)
         near_enough = np.abs(ranges + _ERRORS[:, None] * of_range - (near + far) / 2) < (far - near) / 2
         ahead_enough = np.abs(bearings + _ERRORS[:, None] * of_bearing) < wide
-        seen = np.isin(scans, log.steps[log.landmarks == j])
+        seen = np.isin(scans, steps[measured == j])
         counts = np.sum(near_enough[:, None] & ahead_enough, axis=2)
         found[j] = _Views(np.clip(inside, 0.0, 1.0), counts.ravel(), seen)
     return found

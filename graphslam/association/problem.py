@@ -13,6 +13,7 @@ import numpy as np
 from ..errors import LogError
 from ..errors.checks import check_options, option
 from ..log import UNIDENTIFIED, Log
+from ..log.measurements import PartialSightings
 from ..log.rows import MOST_CLASSES
 from ..maps.map_evidence import log_sum
 from ..models import SensorModel
@@ -247,13 +248,17 @@ def agree(labels: np.ndarray, known: np.ndarray) -> bool:
     return len(pairs) == len(np.unique(pairs[:, 0])) == len(np.unique(pairs[:, 1]))
 
 
-def names(labels: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
-    """The id (L,) of each label 0 to L - 1 (M,): that of its sightings in ``landmarks`` (M,), else one above all of these."""
+def names(labels: np.ndarray, landmarks: np.ndarray, single: PartialSightings | None) -> np.ndarray:
+    """The id (L,) of each label 0 to L - 1 (M,): that of its sightings in ``landmarks`` (M,), else one above all of these.
+
+    It is also above the ids of landmarks with ranges or bearings alone, which are others.
+    """
     fixed = (landmarks != UNIDENTIFIED) & (labels >= 0)
     found = np.full(int(labels.max(initial=-1)) + 1, UNIDENTIFIED)
     found[labels[fixed]] = landmarks[fixed]
     new = found == UNIDENTIFIED
-    found[new] = max(int(landmarks[fixed].max(initial=-1)), -1) + 1 + np.arange(np.count_nonzero(new))
+    taken = np.append(landmarks[fixed], np.zeros(0, dtype=np.int64) if single is None else single.landmarks)
+    found[new] = int(taken.max(initial=-1)) + 1 + np.arange(np.count_nonzero(new))
     return found
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..association.associate import robot_of
-from ..errors import LogError, checks
+from ..errors import LogError, OptionError, checks
 from ..identification.corrections import without_biases
 from ..identification.declared import CORRECTIONS, PLACE, of_sensor_alone
 from ..identification.odometry import OF_SENSOR, with_variances
@@ -88,9 +88,12 @@ class Calibration:
         """The joint estimate from several logs of one robot.
 
         Logarithms of standard deviations, and biases, are weighted by their information; the factors for correlated errors,
-        whose errors are not known, count alike. The prior of a bias counts once.
+        whose errors are not known, count alike. The prior of a bias counts once. A log that the book's noise fits better than
+        an estimate counts only if there is no other one.
         """
-        every = (found, *others)
+        logs = (found, *others)
+        every = [one for one in logs if one.errors] or [*logs]
+        found = every[0]
         (means, deviations, disagreements, contradictions), motion, sensor = _noise(every), found.motion, found.sensor
         priors = {name: prior for one in every for name, prior in one.parameters.priors.items()}
         ideal = {name: mean for name, (mean, _) in priors.items()}
@@ -107,7 +110,7 @@ class Calibration:
             pulled[k] += own @ (one.parameters.values - [ideal[name] for name in one.parameters.names])
         covariance = np.linalg.inv(information)
         biases = {name: ideal[name] + change for name, change in zip(priors, (covariance @ pulled).tolist())}
-        if others:
+        if len(every) > 1:
             shared = {name: float(np.exp(2 * mean)) for name, mean in means.items()}
             motion = with_variances(motion, {n: v for n, v in shared.items() if n not in OF_SENSOR})
             sensor = with_variances(sensor, {n: v for n, v in shared.items() if n in OF_SENSOR})
@@ -122,14 +125,23 @@ class Calibration:
             motion=motion, sensor=sensor, **{name: value for name, value in biases.items() if name not in PLACE},
             errors=errors | dict(zip(priors, np.sqrt(np.diag(covariance)).tolist())),
             counts={
-                "motion": sum(one.log.num_poses - 1 for one in every), "sensor": sum(len(one.log.steps) for one in every),
+                "motion": sum(one.log.num_poses - 1 for one in every), "sensor": sum(_sightings(one.log) for one in every),
             },
-            misread=float(np.average([one.ids.share for one in every], weights=[len(one.ids.changed) for one in every])),
+            misread=float(np.average([one.ids.share for one in logs], weights=[len(one.ids.changed) for one in logs])),
             inflation=float(np.exp(np.mean([np.log(one.inflation) for one in every]))),
-            source="residuals", logs=tuple(one.log.name for one in every),
+            source="residuals", logs=tuple(one.log.name for one in logs),
             notes=(
                 *disagreements,
-                *(f"{one.log.name}: {said}" if others else said for one in every for said in one.remarks),
+                *(
+                    f"{one.log.name}: {said}" if others else said
+                    for one in every
+                    for said in (one.remarks if one.errors else one.sentences)
+                ),
+                *(
+                    f"{one.log.name} does not count: {one.basis} predicts its sightings better than an estimate from it"
+                    for one in logs
+                    if one not in every
+                ),
             ),
             doubts=(
                 *contradictions,
@@ -217,7 +229,8 @@ def calibrate(
         check_is_log(each)
     if degrees is not None:
         checks.check_not_negative(degrees=degrees)
-        degrees = float(checks.array_of("degrees", degrees))
+        if (degrees := float(degrees)) == 0:
+            raise OptionError("degrees must be above zero, not 0: 1 is Cauchy's distribution, infinity a Gaussian")
     checks.check_choice("source", source, SOURCES)
     motion, sensor = logs[0].noise_models(motion, sensor)
     moved = sum(map(true_motions, logs))
@@ -295,11 +308,13 @@ def _with_true_motion(found: Calibration, motion: MotionModel, moved: VarianceFi
     relative = [found.errors.get("wheel_scale", 0.0) / found.wheel_scale, np.nan_to_num(errors["wheel_scale"])]
     biases: dict[str, Any] = {"turn_scale": 1.0, "curvature_bias": 0.0, "range_scale": 1 / factor} | means
     known = {name: error for name, error in found.errors.items() if name not in biases}
-    known |= {"range_scale": math.hypot(*relative) / factor} | {name: known[name] * factor for name in LENGTHS}
+    known |= {"range_scale": math.hypot(*relative) / factor} | {
+        name: known[name] * factor for name in LENGTHS if name in known
+    }
     longer: dict[str, Any] = {name: getattr(found.sensor, name) * factor for name in LENGTHS}
     note = (
-        "there is no true map: the numbers of the motion, with wheel_scale and turn_rate_bias, are from the true poses, and "
-        "those of the sensor from residuals"
+        "no true landmark is known to be seen with range and bearing: the numbers of the motion, with wheel_scale and "
+        "turn_rate_bias, are from the true poses, and those of the sensor from residuals"
     )
     return replace(
         found,
@@ -363,10 +378,15 @@ def _noise(every: Sequence[RobotEstimate]) -> tuple[dict[str, float], dict[str, 
     return dict(zip(names, together.tolist())), dict(zip(names, deviations.tolist())), notes, doubts
 
 
+def _sightings(log: Log) -> int:
+    """The number of sightings, those of a range or a bearing alone included."""
+    return len(log.steps) + len(log.partial_sightings or ())
+
+
 def _check(logs: tuple[Log, ...], source: str) -> None:
     """Raise `LogError` where a log lacks what is needed, or the logs are of different kinds."""
     for log in logs:
-        if len(log.steps) == 0:
+        if not _sightings(log):
             raise LogError(f"{log.name} has no sightings at all, so the noise of the sensor cannot be estimated")
         if source == "truth" and not log.identified:
             raise LogError(

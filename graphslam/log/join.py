@@ -23,7 +23,7 @@ from .drive import TURNED, Reader, Timed, odometry_of, sightings_of, truth_of
 from .geometry import datum_note, local_plane
 from .log import Log
 from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, checked_landmarks, cut_headings, not_positive
-from .rows import MOST_LEFT_OUT, UNIDENTIFIED, UNITS_OF, ReadOptions, TableOptions
+from .rows import MOST_LEFT_OUT, NO_CLASS, UNIDENTIFIED, UNITS_OF, ReadOptions, TableOptions
 from .streams import MOST_DISORDER, Stream, synchronize
 from .table import COVARIANCES, Kept, Table, ordered
 from .text_table import table_of
@@ -418,7 +418,7 @@ def end_to_end(first: Log, second: Log) -> Log:
         control_variances=np.concatenate([of_first, [np.array(ANYWHERE) / APART**2], of_second]),
         recorded_dt=np.concatenate([recorded[0], [APART], recorded[1]]),
         steps=np.concatenate([a.steps, poses + b.steps]), landmarks=both("landmarks"), sightings=both("sightings"),
-        classes=both("classes"), initial_poses=both("initial_poses"),
+        classes=_classes(a, b), initial_poses=both("initial_poses"),
         true_poses=with_unknown("true_poses", (poses, b.num_poses)),
         true_path=with_unknown("true_path", (pieces, len(b.controls) + 1)) if has_path else None,
         true_landmarks={**(b.true_landmarks or {}), **(a.true_landmarks or {})} or None,
@@ -437,6 +437,15 @@ def joined_rows(first: Measured | None, second: Measured | None) -> Measured | N
         return second if first is None else first
     rows = {f.name: np.concatenate([getattr(first, f.name), getattr(second, f.name)]) for f in fields(second)}
     return replace(second, **rows)  # type: ignore[arg-type]
+
+
+def _classes(*logs: Log) -> np.ndarray | None:
+    """The classes of the sightings of logs, as words where one has words; unknown for a log that has none."""
+    kinds = {each.classes.dtype.kind for each in logs if each.classes is not None}
+    rows = [np.full(len(each.steps), UNIDENTIFIED) if each.classes is None else each.classes for each in logs]
+    if "U" in kinds:
+        rows = [np.where(each.classified, own.astype(str), NO_CLASS) for each, own in zip(logs, rows)]
+    return np.concatenate(rows) if kinds else None
 
 
 def _sessions(log: Log) -> tuple[Session, ...]:
@@ -471,7 +480,10 @@ def map_of(table: Table, options: TableOptions, names: Mapping[str, int] | None 
         )
         raise table.error(None, f"{words}, {advice}")
     places = reader.numbers("x", "y")
-    headings = reader.numbers("theta", finite=False)[:, 0] if reader.has("theta") else np.full(len(ids), np.nan)
+    headings = np.full(len(ids), np.nan)
+    if reader.has("theta"):
+        headings = reader.numbers("theta", finite=False)[:, 0]
+        reader.refuse("theta", headings, FOUR_TURNS, TURNED)
     _, firsts, counts = np.unique(ids, return_index=True, return_counts=True)
     if (k := first(counts > 1)) is not None:
         again = int(np.flatnonzero(ids == ids[firsts[k]])[1])

@@ -82,6 +82,7 @@ def checked_landmarks(value: Any) -> dict[int, Array]:
     for j, m in landmarks.items():
         if len(m) not in (2, 3):
             raise LogError(f"true_landmarks[{j}] must be (x, y) or (x, y, heading), not of shape {m.shape}")
+        check_heading(f"true_landmarks[{j}]", m[2:])
     return landmarks
 
 

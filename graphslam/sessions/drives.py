@@ -38,6 +38,7 @@ from ..association import AssociationOptions, associate_from, known_noise
 from ..association.assignment import evidence
 from ..association.map_solution import Problem
 from ..association.map_states import AGREES, MOVED, MapStates, map_states
+from ..association.problem import names as names_of
 from ..association.refining import refine
 from ..errors import GraphError, LogError, OptionError, named, quoted
 from ..errors.checks import listed
@@ -306,7 +307,8 @@ def _in_map_of(before: Log, log: Log, models: dict[str, Any]) -> list[Log]:
     """
     known, own = solve(_graph(before, models)).map, solve(_graph(log, models)).map
     reach = float(np.quantile(np.concatenate([before.sightings[:, 0], log.sightings[:, 0]]), 0.98))
-    fresh = max(known, default=-1) + 1
+    alone = [int(each.partial_sightings.landmarks.max()) for each in (before, log) if each.partial_sightings]
+    fresh = max([*known, *alone], default=-1) + 1
     names = {j: fresh + k for k, j in enumerate(own)} | {UNIDENTIFIED: UNIDENTIFIED}
     ways = list[Log]()
     counts = np.array([np.count_nonzero(log.landmarks == j) for j in own])
@@ -359,7 +361,7 @@ def _refined(joined: Log, models: dict[str, Any]) -> tuple[Log, float]:
     found = refine(problem, labels, joined.initial_poses)
     if found is None:
         return joined, -np.inf
-    ids = np.where(found.labels < 0, UNIDENTIFIED, found.labels)
+    ids = np.append(names_of(found.labels, bare.landmarks, joined.partial_sightings), UNIDENTIFIED)[found.labels]
     return joined.replace(landmarks=ids, initial_poses=found.solution.poses), evidence(problem, found.solution)
 
 

@@ -16,7 +16,7 @@ from math import pi
 import numpy as np
 
 from ..errors import OptionError
-from ..errors.checks import check_options, option
+from ..errors.checks import check_number, check_options, option
 from ..identification.declared import PARAMETERS
 from ..log import Log
 from ..log.rows import UNIDENTIFIED
@@ -135,6 +135,7 @@ class Drive:
             raise OptionError("sensor needs a max_range, because a drive has no other limit of sight")
         if unknown := self.parameters.keys() - PARAMETERS.keys():
             raise OptionError(f"parameters: there is no {sorted(unknown)[0]!r}; they are {', '.join(PARAMETERS)}")
+        check_number(**self.parameters)
         whole = {name: float(self.parameters.get(name, p.ideal)) for name, p in PARAMETERS.items()}
         object.__setattr__(self, "parameters", whole)
 
@@ -170,7 +171,7 @@ class Drive:
         """The log without noise models, as it would have been recorded, and its truth.
 
         Raises:
-            LogError: nothing is seen.
+            LogError: nothing is seen. OptionError: the duration is too short for two rows of odometry.
         """
         rng = np.random.default_rng([self.seed, 0])
         place = PLACES[self.place](self.landmarks, self.sensor.max_range, rng)
@@ -204,13 +205,18 @@ class Drive:
     def _odometry(self, path: Path, rng: np.random.Generator) -> Stream:
         """The record of the path by wheels and gyroscope."""
         times = np.arange(int(path.duration * self.odometry_rate) + 1) / self.odometry_rate
+        kept, latest = np.ones(len(times), dtype=bool), max(path.duration - self.silence, 0.0)
+        for begin in np.random.default_rng([self.seed, 1]).uniform(0, latest, self.silences):
+            kept &= (times < begin) | (times > begin + self.silence)
+        if np.sum(kept) < 2:
+            raise OptionError(
+                f"a drive of {self.duration:g} s has {np.sum(kept)} rows of odometry, and motion takes two: choose a longer "
+                "duration, a higher odometry_rate or shorter silences"
+            )
         controls, p = path.odometry(times), self.parameters
         variances = np.diagonal(self.motion.M(controls, 1 / self.odometry_rate), axis1=1, axis2=2)
         nu, omega = (controls + rng.standard_normal(controls.shape) * np.sqrt(variances)).T
         recorded = p["turn_scale"] * omega + p["turn_rate_bias"] + p["curvature_bias"] * nu
-        kept = np.ones(len(times), dtype=bool)
-        for begin in np.random.default_rng([self.seed, 1]).uniform(0, path.duration - self.silence, self.silences):
-            kept &= (times < begin) | (times > begin + self.silence)
         return Stream(times[kept], np.column_stack([p["wheel_scale"] * nu, recorded])[kept])
 
     def _sightings(
@@ -238,7 +244,7 @@ class Drive:
         z[:, 0] = p["range_scale"] * z[:, 0] + p["range_bias"]
         z[:, 1] += p["bearing_bias"]
         # clutter anywhere in view, even in area
-        false = np.sort(rng.integers(0, len(scans), rng.binomial(len(at), self.clutter / (1 - self.clutter))))
+        false = np.sort(rng.integers(0, max(len(scans), 1), rng.binomial(len(at), self.clutter / (1 - self.clutter))))
         low, high = ideal.min_range, ideal.max_range
         places = np.column_stack([
             np.sqrt(rng.uniform(low**2, high**2, len(false))),

@@ -233,11 +233,13 @@ def _drive(
     bias = rng.normal(1.0, faults.velocity_bias_std, 2) if faults.velocity_bias_std > 0 else np.ones(2)
 
     def wait(mean: float) -> float:
+        """The time, or the way, until what happens once in this mean; 0 stands for never."""
         return rng.exponential(mean) if 0 < mean < inf else inf
 
     per_kick = 1 / faults.kicks_per_metre if faults.kicks_per_metre > 0 else inf
     to_kick, to_kidnap = wait(per_kick), wait(faults.kidnap_interval)
-    to_stuck, stuck = wait(faults.stuck_interval), False
+    # wheels that are stuck for no time are never stuck
+    to_stuck, stuck = wait(faults.stuck_interval if faults.stuck_duration > 0 else inf), False
     for t in range(steps):
         controls[t] = driver.control(poses[t])
         pose, left = poses[t], world.dt

@@ -156,6 +156,8 @@ def simulate_single_numbers(
     """
     check_choice("number", number, NUMBERS)
     check_count(poses=poses, landmarks=landmarks, every=every, lanes=lanes)
+    if 0 in (poses, landmarks, every, lanes):
+        raise OptionError("poses, landmarks, every and lanes must be at least 1")
     rng, motion, sensor = np.random.default_rng(seed), MOTION, SENSOR
     truth = _lanes(poses, lanes)
     moved = between(truth[:-1], truth[1:])

@@ -129,6 +129,9 @@ def test_the_lectures_filters_take_one_control_a_step() -> None:
         slips = simulate(steps=3, seed=0).replace(motion=MotionModel(slip=0.1))
         with pytest.raises(LogError, match="slip"):
             next(version(slips, rng=np.random.default_rng(0)))
+        nameless = slips.replace(motion=None, landmarks=np.full(len(slips.steps), UNIDENTIFIED))
+        with pytest.raises(LogError, match="has sightings without ids"):
+            next(version(nameless, rng=np.random.default_rng(0)))
 
 
 @pytest.mark.parametrize("kind", FILTERS)

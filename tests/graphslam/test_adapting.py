@@ -39,9 +39,14 @@ def drifting(slip: float, seed: int = 0, steps: int = 400) -> Log:
     )
 
 
-@pytest.mark.parametrize(("slip", "raised"), [(0.0, False), (0.02, True)])
-def test_slip_over_long_ways_is_found_where_there_is_some(slip: float, raised: bool) -> None:
+@pytest.mark.parametrize(("slip", "raised", "gaps"), [(0.0, False, 0), (0.02, True, 0), (0.02, True, 3)])
+def test_slip_over_long_ways_is_found_where_there_is_some(slip: float, raised: bool, gaps: int) -> None:
     log = drifting(slip)
+    if gaps:
+        # across a gap in the odometry the robot may be anywhere, which says nothing about its slip elsewhere
+        variances = np.zeros((log.num_poses - 1, 3))
+        variances[60 : 60 + gaps] = 1.0
+        log = log.replace(control_variances=variances)
     first = solve(Graph.from_log(log, edges="landmark+motion", kernel="none"))
     found = slipping(Robot(log, MOTION, SENSOR), np.searchsorted(log.landmark_ids, log.landmarks), first.poses).motion
     if not raised:

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from graphslam import (
+    Graph,
     GraphError,
     Log,
     LogError,
@@ -23,15 +24,17 @@ from graphslam import (
     sample_log_path,
     save,
     simulate,
+    solve,
 )
 from graphslam.association import assignment, associate_from, score
 from graphslam.association.ambiguity import readable
 from graphslam.association.assignment import Candidates, evidence, log_density
-from graphslam.association.map_solution import MapSolution, Problem, seen_from
+from graphslam.association.map_solution import MapSolution, Places, Problem, seen_from
 from graphslam.association.problem import AssociationOptions, Densities
 from graphslam.linear.cholesky import analyze
 from graphslam.linear.information import BlockSystem
 from graphslam.log import UNIDENTIFIED
+from graphslam.log.measurements import PartialSightings
 from graphslam.metrics import ate
 from graphslam.se2 import difference
 
@@ -193,6 +196,17 @@ def test_clutter_and_misses() -> None:
     assert exact == 6 and np.mean(precise) > 0.95
 
 
+def test_the_gate_of_a_sighting_is_that_of_the_covariance_of_its_landmark() -> None:
+    """Along the widest direction of a landmark whose coordinates are correlated."""
+    own, gate = np.array([[[1.0, 0.99], [0.99, 1.0]]]), assignment.gates(0.999, 2, 1)[1]
+    far = np.sqrt(np.linspace(0.05, 0.99, 20) * gate * (1.99 + 1e-4) / 2)
+    seen = Places(np.column_stack([far, far]), np.tile(1e-4 * np.eye(2), (20, 1, 1)))
+    chosen, _ = assignment.assign(
+        seen, np.arange(20), np.zeros((1, 2)), own, 0.999, lambda item, _: np.full(len(item), 50.0)
+    )
+    assert np.all(chosen == 0)
+
+
 def test_each_sighting_by_itself_finds_clear_landmarks() -> None:
     log = load(sample_log_path())
     found = associate_from(log, method="nearest")
@@ -202,6 +216,18 @@ def test_each_sighting_by_itself_finds_clear_landmarks() -> None:
 def test_ids_of_the_log_are_not_used() -> None:
     log = load(sample_log_path())
     np.testing.assert_array_equal(associate_from(log).ids, associate_from(hidden(log)).ids)
+
+
+def test_ids_that_are_found_are_none_of_the_ranges_alone() -> None:
+    log = hidden(load(sample_log_path())).without_orientation()
+    steps, beacons = np.arange(0, 160, 4), np.arange(40) % 3
+    far = np.hypot(*(log.true_poses[steps, :2] - np.array([[9.0, 9.0], [-9.0, 9.0], [0.0, -12.0]])[beacons]).T)
+    alone = PartialSightings(steps=steps, landmarks=beacons, ranges=far, bearings=np.full(40, np.nan))
+    found = associate_from(log.replace(partial_sightings=alone))
+    assert found.landmarks == 13 and np.array_equal(np.unique(found.ids), np.arange(3, 16))
+    solution = solve(Graph.from_log(found.log, kernel="none"))
+    # with the ids of the beacons for other landmarks J per degree of freedom would be 2.5
+    assert len(solution.landmarks) == 16 and solution.cost < solution.graph.degrees_of_freedom
 
 
 def test_scores() -> None:

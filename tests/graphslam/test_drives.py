@@ -10,7 +10,7 @@ import pytest
 from error_rates import ERROR_RATE, bound, chi_square_bounds
 from scipy import stats
 
-from graphslam import Drive, Graph, Log, MotionModel, OptionError, solve
+from graphslam import Drive, Graph, Log, LogError, MotionModel, OptionError, solve
 from graphslam.identification.declared import PARAMETERS
 from graphslam.log.rows import UNIDENTIFIED
 from graphslam.log.streams import Stream, truth_at
@@ -260,8 +260,21 @@ def test_whoever_knows_noise_and_ids_finds_the_biases(precise):
         ({"duration": 0.0}, "duration"),
         ({"parameters": {"wheels": 1.0}}, "there is no 'wheels'"),
         ({"sensor": replace(SENSORS["camera"], max_range=np.inf)}, "sensor needs a max_range"),
+        ({"parameters": {"wheel_scale": "1"}}, "wheel_scale must be a finite number, not '1'"),
+        ({"duration": 10.0, "odometry_rate": 0.05}, "a drive of 10 s has 1 rows of odometry, and motion takes two"),
+        ({"duration": 10.0, "silence": 20.0, "silences": 1}, "has 0 rows of odometry"),
     ],
 )
 def test_impossible_settings_are_refused(settings, message):
     with pytest.raises(OptionError, match=message):
-        Drive(**settings)
+        Drive(**settings).simulate()
+
+
+@pytest.mark.parametrize("settings", [{"duration": 3.0}, {"duration": 0.3, "clutter": 0.1}])
+def test_a_drive_may_be_shorter_than_a_silence(settings):
+    try:
+        log, _ = Drive(**settings).simulate()
+    except LogError as error:
+        assert "no landmark is seen" in str(error)
+    else:
+        assert len(log.steps) > 0

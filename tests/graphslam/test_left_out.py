@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from graphslam import Drive, Graph, Log, MotionModel, estimate_robot, solve
+from graphslam import Drive, Graph, Log, MotionModel, calibrate, estimate_robot, solve
 from graphslam.calibration import Calibration
 from graphslam.identification import robot
 from graphslam.identification.result import (
@@ -137,7 +137,15 @@ def test_noise_of_the_book_is_taken_where_it_predicts_better(monkeypatch: pytest
     assert found.motion == found.log.motion == MotionModel()
     assert "the book's noise is taken" in found.sentences[0]
     assert solve(Graph.from_log(found.log)).converged
-    assert Calibration.of(found).motion == MotionModel()
+    # with true poses and no map, the motion is theirs
+    assert calibrate(log.replace(true_landmarks=None)).sensor == found.sensor
+    alone, other = Calibration.of(found), warehouse()[2]
+    assert alone.motion == MotionModel() and found.sentences[0] in alone.notes
+    # beside a log that tells its noise it does not count
+    for pair in ((found, other), (other, found)):
+        both = Calibration.of(*pair)
+        assert both.numbers == Calibration.of(other).numbers
+        assert any("does not count: the book's noise predicts its sightings better" in note for note in both.notes)
 
 
 def test_densities_are_those_of_student_t() -> None:

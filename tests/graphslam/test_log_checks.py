@@ -171,6 +171,14 @@ def test_duplicate_ids(sample):
     assert "duplicate ids" in checks(sample.replace(landmarks=other))
 
 
+def test_a_doubled_sighting_without_an_id_is_said_to_have_none(sample):
+    ids, z = sample.landmarks.copy(), sample.sightings.copy()
+    k = int(np.argmax(np.diff(sample.steps) == 0))
+    ids[k : k + 2], z[k + 1] = UNIDENTIFIED, z[k]
+    found = message(sample.replace(landmarks=ids, sightings=z), "doubled sightings")
+    assert f"the first of landmark without an id at step {sample.steps[k]}" in found
+
+
 def message(log, check):
     (finding,) = (finding for finding in check_log(log) if finding.check == check)
     return finding.message

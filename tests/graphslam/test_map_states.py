@@ -20,6 +20,8 @@ from graphslam import (
     solve,
 )
 from graphslam.association.map_states import EXACT_STD, MOVE, TURN, map_states, session_states
+from graphslam.log import UNIDENTIFIED
+from graphslam.log.measurements import PartialSightings
 
 FIRST = simulate(seed=1, clean=True, landmarks=20, steps=80, arena=6.0)
 MAP = solve(Graph.from_log(FIRST, edges="landmark+motion")).map
@@ -192,3 +194,32 @@ def test_a_landmark_all_of_whose_sightings_are_left_out_was_not_seen():
 def test_a_map_without_landmarks_is_refused():
     with pytest.raises(GraphError, match="the map has no landmarks"):
         map_states(second(2), MAP.among([]))
+
+
+@pytest.mark.parametrize(("ids", "sees"), [(1000, "landmarks 1000, 1001"), (None, "none by its id")])
+def test_a_log_without_landmarks_of_the_map_is_refused(ids, sees):
+    log = second(2)
+    other = np.full(len(log.steps), UNIDENTIFIED) if ids is None else log.landmarks + ids
+    with pytest.raises(GraphError, match=f"sees no landmark of the map: it sees {sees}.* the map has landmarks"):
+        map_states(log.replace(landmarks=other), MAP)
+
+
+@pytest.mark.parametrize("part", [0.5, 1.0])
+@pytest.mark.parametrize("shift", [0.0, 1.5])
+def test_ranges_alone_show_where_a_landmark_is(part, shift):
+    """Of one landmark a part of the sightings, or each, has its range alone; it is there, or has moved, with all of them."""
+    log = second(2, {3: (shift, 0.0)}).without_orientation()
+    rows = np.flatnonzero(log.landmarks == 3)
+    rows = rows[: int(part * len(rows))]
+    alone = PartialSightings(
+        steps=log.steps[rows], landmarks=log.landmarks[rows], ranges=log.sightings[rows, 0],
+        bearings=np.full(len(rows), np.nan),
+    )  # fmt: skip
+    others = np.ones(len(log.steps), dtype=bool)
+    others[rows] = False
+    found = map_states(log.with_sightings(others, partial_sightings=alone), MAP)
+    (state,) = [each for each in found.landmarks if each.id == 3]
+    assert state.state == ("moved" if shift else "agrees") and state.seen == np.sum(log.landmarks == 3)
+    # at 99 %; ranges alone leave one direction open
+    assert (part == 1 or np.hypot(*(state.shift - [shift, 0.0])) < 0.6) and (state.chi_square < 9.2) == (shift == 0)
+    assert len(found.of("moved")) == (shift > 0) and not found.of("vanished")

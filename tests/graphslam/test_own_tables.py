@@ -207,6 +207,10 @@ def test_landmarks_with_names_in_the_map(drive):
         match=r"map.csv:3: the id 'id' is empty or -1, which means no id; each landmark of the map needs one",
     ):
         load(drive(sightings=seen, map="id,x,y\ntree,5,5\n,1,1\n"))
+    with pytest.raises(
+        FormatError, match=r"map.csv:3: the heading is 90 rad.* is it in degrees\? Then add angles='map="
+    ):
+        load(drive(sightings=seen, map="id,x,y,theta\ntree,5,5,0\nlamp,1,1,90\n"))
 
 
 @pytest.mark.parametrize("names", [{3: 3, 4: "", 5: 5}, {3: "door", 4: "", 5: "tree"}, {3: 2**60 + 1, 4: "", 5: 5}])

@@ -20,6 +20,8 @@ from graphslam import (
     SensorModel,
     estimate_robot,
     join_logs,
+    load,
+    sample_log_path,
     simulate,
     solve,
     solve_with_gtsam,
@@ -27,6 +29,7 @@ from graphslam import (
 from graphslam.association import score
 from graphslam.association.map_states import session_states
 from graphslam.log import UNIDENTIFIED
+from graphslam.log.measurements import PartialSightings
 from graphslam.metrics import ate
 from graphslam.se2 import between
 from graphslam.sessions import with_common_noise
@@ -181,6 +184,26 @@ def test_logs_without_ids_are_joined_by_their_maps() -> None:
 
 
 @pytest.mark.slow
+def test_landmarks_that_are_found_in_all_logs_are_none_of_the_beacons() -> None:
+    beacons = np.array([[9.0, 9.0], [-9.0, 9.0], [0.0, -12.0]])
+
+    def with_beacons(log: Log) -> Log:
+        steps = np.arange(0, log.num_poses, 3)
+        seen = np.arange(len(steps)) % 3
+        ranges = np.hypot(*(log.true_poses[steps, :2] - beacons[seen]).T)
+        alone = PartialSightings(steps=steps, landmarks=seen + 7, ranges=ranges, bearings=np.full(len(steps), np.nan))
+        nameless = np.full(len(log.steps), UNIDENTIFIED)
+        return log.without_orientation().replace(landmarks=nameless, partial_sightings=alone)
+
+    log = load(sample_log_path())
+    halves = [log.at_steps(np.arange(80)), log.at_steps(np.arange(80, log.num_poses))]
+    joined = join_logs([with_beacons(half) for half in halves]).log
+    assert np.array_equal(joined.landmark_ids, np.arange(10, 23))
+    solution = solve(Graph.from_log(joined, kernel="none"))
+    # 1.7 where the beacons have ids of other landmarks
+    assert solution.cost < solution.graph.degrees_of_freedom
+
+
 def test_a_log_without_ids_of_another_place_is_refused() -> None:
     other = simulate(
         seed=5, steps=20, clean=True, landmarks=scattered(8), orientation=False, motion=QUIET, max_range=6.0, name="other",
@@ -231,6 +254,18 @@ def test_one_log_is_itself() -> None:
     assert joined.starts == (0, drive().num_poses)
     with pytest.raises(OptionError, match="take its attribute log"):
         Graph.from_log(joined)  # type: ignore[arg-type]
+
+
+def test_classes_of_joined_logs_are_words_where_one_has_words_and_unknown_where_one_has_none() -> None:
+    first, second, third = cut(drive(), 3)
+    first = first.replace(classes=np.where(first.landmarks % 2, "blue", ""))
+    second = second.replace(classes=np.where(second.landmarks % 2, second.landmarks, UNIDENTIFIED))
+    joined = join_logs([first, second, third]).log
+    odd, of_third = joined.landmarks % 2 == 1, joined.steps >= joined.drives[2].start
+    known = np.where(joined.steps < joined.drives[1].start, "blue", joined.landmarks.astype(str))
+    assert joined.classes.tolist() == np.where(odd & ~of_third, known, "").tolist()
+    assert np.array_equal(joined.classified, odd & ~of_third)
+    assert join_logs([second, third]).log.classes.dtype.kind == "i" and join_logs([third, third]).log.classes is None
 
 
 def test_logs_that_cannot_be_joined() -> None:

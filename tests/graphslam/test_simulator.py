@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from error_rates import ERROR_RATE, bound
@@ -121,6 +123,12 @@ def test_stuck_wheels_stop_the_robot_for_a_while():
     still = np.linalg.norm(np.diff(log.true_poses[:, :2], axis=0), axis=1) < 1e-12
     assert 0.3 < still.mean() < 0.6
     assert np.all(log.controls[:, 0] > 0)
+
+
+def test_wheels_that_are_stuck_for_no_time_are_never_stuck():
+    free = MotionFaults(kicks_per_metre=0, velocity_bias_std=0)
+    log = simulate(motion_faults=replace(free, stuck_interval=10.0, stuck_duration=0.0))
+    np.testing.assert_array_equal(log.true_poses, simulate(motion_faults=free).true_poses)
 
 
 def test_kidnapping_sets_the_robot_down_elsewhere():

@@ -18,6 +18,7 @@ from graphslam import (
     OptionError,
     PartialSightings,
     SensorModel,
+    calibrate,
     load,
     save,
     simulate,
@@ -275,6 +276,24 @@ def test_the_world_is_as_it_says() -> None:
     assert np.std(off) == pytest.approx(0.1, rel=0.25)
     assert np.abs(transform(log.true_poses[0], (0.0, 0.0)) - log.initial_poses[0, :2]).max() == 0
     assert SensorModel().h is not None
+
+
+@pytest.mark.parametrize("number", ["range", "bearing"])
+def test_their_noise_is_calibrated(number: str) -> None:
+    log = simulate_single_numbers(number, poses=400).replace(motion=None, sensor=None, simulated=False)
+    found = calibrate(log)
+    name, value = ("range_std", SENSOR.range_std) if number == "range" else ("bearing_std", SENSOR.bearing_std)
+    # of 200 numbers: the standard error of a standard deviation is 5 %
+    assert getattr(found.sensor, name) == pytest.approx(value, rel=0.2)
+    assert found.counts == {"motion": 399, "sensor": 200} and found.apply(log).sensor == found.sensor
+    # the motion is that of the truth, and no landmark is known to be seen whole
+    assert "no true landmark is known to be seen with range and bearing" in found.notes[0]
+
+
+@pytest.mark.parametrize("name", ["poses", "landmarks", "every", "lanes"])
+def test_a_world_without_anything_is_refused(name: str) -> None:
+    with pytest.raises(OptionError, match="poses, landmarks, every and lanes must be at least 1"):
+        simulate_single_numbers("range", **{name: 0})
 
 
 def test_an_empty_cell_of_a_table_is_a_sighting_with_one_number() -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graphslam import calibrate, simulate
+from graphslam import OptionError, calibrate, simulate
 from graphslam.calibration.variances import fit_variances, standard_errors
 
 
@@ -84,3 +84,8 @@ def test_inexact_true_poses_are_said():
     off = np.random.default_rng(0).normal(0.0, [0.0, 0.0, 0.15], (log.num_poses, 3))
     (note,) = (note for note in calibrate(log.replace(true_poses=log.true_poses + off)).notes if "in common" in note)
     assert "may be inexact or shifted" in note
+
+
+def test_no_degrees_of_freedom_are_refused() -> None:
+    with pytest.raises(OptionError, match="degrees must be above zero, not 0"):
+        calibrate(simulate(seed=1), degrees=0)
