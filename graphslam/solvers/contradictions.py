@@ -33,7 +33,7 @@ procedure for use in geodetic networks*, 1968 (the covariance of residuals).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -41,25 +41,28 @@ import numpy as np
 
 from ..edges import LandmarkPriors, ObservationEdges, PolarObservationEdges, PositionEdges, PriorEdges, RelationEdges
 from ..errors import GraphError
-from ..errors.checks import listed
 from ..graph import Graph
 from ..identification.odometry import NOTHING, STILL, Edges
 from ..identification.slips import SLIPPED, Found, Motions, largest_slip, without_slips
 from ..linear.cholesky import Bordered, FactorizationError
+from ..linear.information import BlockSystem
 from ..log import Log
 from ..maps.localization import SURE
+from ..maps.registration import evenly
 from ..models import additional_variances
 from ..se2 import Array, between, difference, perpendicular, turn_matrix
 from .iteration import end_of, levenberg_marquardt
 from .joint import JointFactor, JointGraph, motion_edges, times
-from .map_errors import DETERMINED, FEWEST, displacements, in_map, likeliest_deviation, misfit
+from .map_errors import DETERMINED, FEWEST, displacements, in_map, likeliest_deviation, misfit, said_of_moved
 from .uncertainty import Uncertainty
 
 if TYPE_CHECKING:
     from .solution import Solution
 
-#: the most landmarks that are tested
-MOST = 40
+#: the most landmarks that are tested, evenly spread, and of the others those that their sightings pull hardest
+MOST, PULLED = 40, 20
+#: of the numbers that are tested in a map, the coordinates of those that are evenly spread: medians of all would be too large
+EVEN = slice(1, 1 + 2 * MOST)
 #: doubtful is a median of q above so many times 2 log 2, and a scale so many standard errors from 1, at most 2.1 and 4.6 of
 #: which were found on 90 drives in the right map; or a lever of so many standard errors
 LARGE, SIGNIFICANT = 6.0, 6.0
@@ -68,7 +71,7 @@ SUSPECT = 1.3
 #: a landmark has moved from this q on. On 24 drives with the kernel cauchy, in maps with joint and with own covariances, at
 #: most 7 was found where none had moved, and 40 for one that had not among some that had
 MOVED = 60.0
-#: where more than this part of the landmarks that are tested has moved, it is the map that is wrong
+#: where more than this part of the landmarks of the map that are seen has moved, it is the map that is wrong
 MOST_MOVED = 0.34
 #: the scale of a map that is doubtful by its landmarks is said from so many standard errors on
 TELLING = 3.0
@@ -111,10 +114,10 @@ def doubt_of_map(graph: Graph, state: Array, *, suspected: bool = True) -> tuple
     """
     if (scores := _scores_of_map(graph, state)) is None:
         return "", 0.0, True
-    tested, g, S, alone = scores
+    tested, _, g, S, alone = scores
     try:
-        ratio, size = misfit(g[1:], S[1:, 1:], alone[1:, 1:])
-        deviation, gain = likeliest_deviation(S[1:, 1:], g[1:])
+        ratio, size = misfit(g[EVEN], S[EVEN, EVEN], alone[EVEN, EVEN])
+        deviation, gain = likeliest_deviation(S[EVEN, EVEN], g[EVEN])
     except np.linalg.LinAlgError:
         return "", 0.0, True
     sure = ratio**2 > LARGE
@@ -141,10 +144,10 @@ def doubt_of_map(graph: Graph, state: Array, *, suspected: bool = True) -> tuple
     return text, deviation if off else 0.0, sure or not off
 
 
-def _scores_of_map(graph: Graph, state: Array) -> tuple[np.ndarray, Array, Array, Array] | None:
-    """The nodes of the landmarks of the map that are tested, and `_scores` of its scale and of their two axes each.
+def _scores_of_map(graph: Graph, state: Array) -> tuple[np.ndarray, int, Array, Array, Array] | None:
+    """The nodes of the landmarks of the map that are tested, and the number of all that the log sees.
 
-    None where there is nothing to test.
+    Then `_scores` of the scale of the map and of two axes of each node. None where there is nothing to test.
     """
     if graph.map is None or graph.log is None or graph.parameters is not None:
         return None
@@ -152,15 +155,25 @@ def _scores_of_map(graph: Graph, state: Array) -> tuple[np.ndarray, Array, Array
     nodes = np.sort(nodes[np.isin(graph.landmark_ids[nodes - len(graph.steps)], graph.log.landmarks)])
     if len(nodes) < FEWEST:
         return None
-    tested = nodes[np.unique(np.linspace(0, len(nodes) - 1, MOST).round().astype(int))]
-    directions = np.zeros((*state.shape, 1 + 2 * len(tested)))
-    directions[nodes, :2, 0] = state[nodes, :2] - state[nodes, :2].mean(axis=0)
-    for axis in (0, 1):
-        directions[tested, axis, 1 + axis + 2 * np.arange(len(tested))] = 1.0
+    tested = nodes[evenly(len(nodes), MOST)]
     try:
-        return tested, *_scores(_unbiased(graph, state), state, directions)
+        unbiased = _unbiased(graph, state)
+        others = np.setdiff1d(nodes, tested)
+        tested = np.concatenate([tested, others[np.argsort(-_pulls(unbiased, state, others))[:PULLED]]])
+        directions = np.zeros((*state.shape, 1 + 2 * len(tested)))
+        directions[nodes, :2, 0] = state[nodes, :2] - state[nodes, :2].mean(axis=0)
+        for axis in (0, 1):
+            directions[tested, axis, 1 + axis + 2 * np.arange(len(tested))] = 1.0
+        return tested, len(nodes), *_scores(unbiased, state, directions)
     except (FactorizationError, GraphError, np.linalg.LinAlgError):
         return None
+
+
+def _pulls(graph: Graph, state: Array, nodes: np.ndarray) -> Array:
+    """How hard sightings pull landmarks (k,), in squared standard deviations from exact poses; at most q."""
+    system = _of_measurements(graph, state, graph.linearize(state)[0])
+    own, forces = system.values[system.diagonal_slots[nodes], :2, :2], system.xi[nodes, :2]
+    return np.asarray(np.einsum("ki,kij,kj->k", forces, np.linalg.pinv(own, hermitian=True), forces))
 
 
 def without_moved(solution: Solution, again: Callable[[Graph], Solution]) -> tuple[Solution, str]:
@@ -176,17 +189,17 @@ def without_moved(solution: Solution, again: Callable[[Graph], Solution]) -> tup
     for _ in range(ROUNDS):
         if graph is None or (scores := _scores_of_map(graph, solution.state)) is None:
             break
-        tested, g, S, alone = scores[0], scores[1][1:], scores[2][1:, 1:], scores[3][1:, 1:]
+        tested, count, g, S, alone = scores
         try:
-            q, size, determined = displacements(g, S, alone)
-            least = MOVED * max(1.0, misfit(g, S, alone)[0] ** 2)
+            q, size, determined = displacements(g[1:], S[1:, 1:], alone[1:, 1:])
+            least = MOVED * max(1.0, misfit(g[EVEN], S[EVEN, EVEN], alone[EVEN, EVEN])[0] ** 2)
             if not len(q) or q.max() <= least:
                 break
             most = q > max(least, q.max() / 2)
             largest = max(largest, size[most].max())
-            all_tested = len(tested) + len(away)
+            seen = count + len(away)
             away += graph.landmark_ids[tested[determined][most] - len(graph.steps)].tolist()
-            if len(away) > MOST_MOVED * all_tested:
+            if len(away) > MOST_MOVED * seen:
                 return first, ""
             assert graph.map is not None
             left = graph.map.among(set(graph.map) - set(away))
@@ -199,17 +212,6 @@ def without_moved(solution: Solution, again: Callable[[Graph], Solution]) -> tup
     if not away:
         return first, ""
     return solution, said_of_moved(away, largest, left_out=True)
-
-
-def said_of_moved(ids: Iterable[int], size: float, *, left_out: bool) -> str:
-    """A sentence on landmarks that have moved, by up to a size [m], and whether the map counts without them."""
-    done = "The map counts without moved landmarks, which this log places anew; map_states says what else has changed"
-    if not left_out:
-        done = (
-            "Moved landmarks pull the poses along, which are less exact than their covariances say; map_states says what has "
-            "changed, and its map leaves moved landmarks out"
-        )
-    return f"probably moved since the map was made: {listed('landmark', sorted(ids))}, by up to {size:.2g} m. {done}"
 
 
 def _moved(graph: Graph, tested: np.ndarray, g: Array, S: Array, alone: Array, ratio: float) -> str:
@@ -246,11 +248,7 @@ def _scores(graph: Graph, state: Array, directions: Array) -> tuple[Array, Array
     """
     system, _ = graph.linearize(state)
     xi, factor = system.xi.copy(), system.own_factor()
-    system.clear()
-    for family in graph.families:
-        if not isinstance(family, (LandmarkPriors, PriorEdges)):
-            family.accumulate(state, state, system)
-    mixed = times(system, directions)
+    mixed = times(_of_measurements(graph, state, system), directions)
     g, alone = np.einsum("nik,ni->k", directions, system.xi), np.einsum("nik,nil->kl", directions, mixed)
     mixed[graph.fixed] = 0.0
     moved = Bordered(factor, mixed, alone)
@@ -258,7 +256,8 @@ def _scores(graph: Graph, state: Array, directions: Array) -> tuple[Array, Array
     g -= np.einsum("nik,ni->k", reach, xi)
     if graph.held is not None:
         joint = JointGraph(replace(graph, parameters=graph.held))
-        border = joint.border(joint.graph, state, state)
+        # the directions move nodes that are held, too
+        border = joint.border(replace(joint.graph, fixed=graph.fixed[:0]), state, state)
         crossed = np.einsum("nip,nik->pk", border.mixed, directions)
         border.mixed[graph.fixed] = 0.0
         beside = JointFactor(joint, factor, border)
@@ -267,6 +266,15 @@ def _scores(graph: Graph, state: Array, directions: Array) -> tuple[Array, Array
         g -= crossed.T @ beside.covariance @ gradient
         S -= crossed.T @ beside.covariance @ crossed
     return g, S, alone
+
+
+def _of_measurements(graph: Graph, state: Array, system: BlockSystem) -> BlockSystem:
+    """The system of all edges but the map."""
+    system.clear()
+    for family in graph.families:
+        if not isinstance(family, (LandmarkPriors, PriorEdges)):
+            family.accumulate(state, state, system)
+    return system
 
 
 def doubt_of_positions(graph: Graph, state: Array, *, lasting: bool = False) -> str:
