@@ -15,11 +15,6 @@ median 2 log 2. Biases of the robot whose uncertainty the graph holds (`Graph.he
 the polar residual and the noise at predicted ranges here, because the Cartesian one and noise that grows with measured ranges
 change the size of a world by a little.
 
-**Positions.** An antenna beside the robot's pose, whose lever nobody has stated, moves all positions by R(theta) s, and
-odometry and sightings follow them as far as they can: J = R(theta), and the sum of B' W e over all measurements is zero at
-the solution. Where s is large, the graph is solved again with it, and the step repeated. Where the heading does not change,
-S is small.
-
 **Covariances.** A residual of a position or a relation has the covariance W^-1 - B P B' at the solution, P that of its nodes.
 The median of its squared Mahalanobis norm, over that of chi-square, tells how much larger the errors are than their
 covariances say, also where some positions or relations are wrong.
@@ -51,9 +46,8 @@ from ..maps.localization import SURE
 from ..maps.registration import evenly
 from ..models import additional_variances
 from ..se2 import Array, between, difference, perpendicular, turn_matrix
-from .iteration import end_of, levenberg_marquardt
 from .joint import JointFactor, JointGraph, motion_edges, times
-from .map_errors import DETERMINED, FEWEST, displacements, in_map, likeliest_deviation, misfit, said_of_moved
+from .map_errors import FEWEST, displacements, in_map, likeliest_deviation, misfit, said_of_moved
 from .uncertainty import Uncertainty
 
 if TYPE_CHECKING:
@@ -78,15 +72,12 @@ TELLING = 3.0
 #: the fewest positions or relations that say something, and the part of the information of one that the rest must have to
 #: check it
 FEWEST_CHECKED, CHECKED = 10, 0.1
-#: above this factor, positions are in another frame rather than noisier than they say
-OTHER_FRAME = 100.0
 #: what a solution does with a map that is doubtful, where it is not solved again
 TAKEN_FOR_RIGHT = "Poses and their covariances take the map for right"
 #: covariances of positions and relations are doubtful whose roots are wrong by more than this factor
 MISJUDGED = 2.0
-#: the most rounds in which the solution follows the lever, the damped steps in each, and the squared step in standard errors
-#: that is small
-ROUNDS, STEPS, SETTLED = 10, 20, 0.01
+#: the most rounds in which moved landmarks are left out
+ROUNDS = 10
 #: the medians of chi-square by degrees of freedom
 MEDIANS = np.array([0.0, 0.454936, 2 * np.log(2), 2.365974])
 #: a coordinate is not measured whose standard deviation is so many times its errors
@@ -277,69 +268,7 @@ def _of_measurements(graph: Graph, state: Array, system: BlockSystem) -> BlockSy
     return system
 
 
-def doubt_of_positions(graph: Graph, state: Array, *, lasting: bool = False) -> str:
-    """A sentence where the lever or the covariances of positions are probably wrong; empty otherwise.
-
-    Args:
-        lasting: whether the covariances are those of lasting errors, so that they say nothing of single ones.
-    """
-    families = [family for family in graph.families if isinstance(family, PositionEdges)]
-    if graph.parameters is not None or sum(family.count for family in families) < FEWEST_CHECKED:
-        return ""
-    try:
-        lever, S = _lever_step(graph, families, state)
-        if np.sqrt(lever @ S @ lever) > SIGNIFICANT:
-            lever, S, rest = _lever_followed(graph, state, lever)
-        else:
-            rest = 1.0
-        ratio = _misfit_of(graph, state, PositionEdges)
-    except (FactorizationError, GraphError, np.linalg.LinAlgError):
-        return ""
-    if np.sqrt(lever @ S @ lever) > SIGNIFICANT * rest:
-        error = rest * np.linalg.eigvalsh(S)[0] ** -0.5
-        return (
-            f"the positions fit better with the point that they measure {lever[0]:.2g} m ahead and {lever[1]:.2g} m left of "
-            f"where the log has it (standard error {error:.1g} m): poses are off by as much. Check the lever of the antenna "
-            "(lever_x, lever_y), and whether the times of the positions are late or early"
-        )
-    if lasting or ratio == 0 or 1 / MISJUDGED <= ratio <= MISJUDGED:
-        return ""
-    if ratio > OTHER_FRAME:
-        return (
-            f"the errors of the positions are {ratio:.2g} times what their covariances say (median): they are probably in "
-            "another frame or unit than the map, the landmarks or the first pose, and pull the poses along. Put them into "
-            "that frame; only where they are in it already, multiply their standard deviations by this factor"
-        )
-    return (
-        f"the errors of the positions are {ratio:.2g} times what their covariances say (median), so that covariances of "
-        "poses are wrong, too: multiply the standard deviations of the positions by this factor, unless they are in another "
-        "frame, or the noise models of odometry and sightings are wrong"
-    )
-
-
-def _lever_followed(graph: Graph, state: Array, lever: Array) -> tuple[Array, Array, float]:
-    """s and S after repeated solutions with the lever that s gives, and the errors over the stated ones there, at least 1.
-
-    Raises:
-        FactorizationError, GraphError: the edges do not determine the nodes.
-    """
-    total = lever
-
-    def moved(edges: PositionEdges) -> PositionEdges:
-        return replace(edges, levers=edges.levers + total)
-
-    for _ in range(ROUNDS):
-        other = graph.with_changed(PositionEdges, moved)
-        state = end_of(levenberg_marquardt, other, state, max_iterations=STEPS)
-        families = [each for each in other.families if isinstance(each, PositionEdges)]
-        step, S = _lever_step(other, families, state)
-        if step @ S @ step < SETTLED:
-            break
-        total = total + step
-    return total, S, max(1.0, _misfit_of(other, state, PositionEdges))
-
-
-def _misfit_of(graph: Graph, state: Array, kind: type[PositionEdges] | type[RelationEdges]) -> float:
+def misfit_of_edges(graph: Graph, state: Array, kind: type[PositionEdges] | type[RelationEdges]) -> float:
     """The errors of edges that the rest of the graph checks over what their covariances say; 0 where it checks few."""
     # where the edges are noisier than they say, the weights of a kernel would be those of other covariances
     plain = graph.with_changed(kind, lambda family: replace(family, kernel=None))
@@ -372,7 +301,7 @@ def doubt_of_relations(graph: Graph, state: Array) -> str:
     if graph.log is None or graph.parameters is not None or count < FEWEST_CHECKED:
         return ""
     try:
-        ratio = _misfit_of(graph, state, RelationEdges)
+        ratio = misfit_of_edges(graph, state, RelationEdges)
     except (FactorizationError, GraphError, np.linalg.LinAlgError):
         return ""
     if ratio == 0 or 1 / MISJUDGED <= ratio <= MISJUDGED:
@@ -382,30 +311,6 @@ def doubt_of_relations(graph: Graph, state: Array) -> str:
         "poses are wrong, too: multiply the standard deviations of the relations by this factor, unless they are between "
         "other poses, or the noise models of odometry and sightings are wrong"
     )
-
-
-def _lever_step(graph: Graph, families: list[PositionEdges], state: Array) -> tuple[Array, Array]:
-    """s (2,) and S (2, 2).
-
-    Raises:
-        FactorizationError: the edges do not determine the nodes.
-    """
-    system, _ = graph.linearize(state)
-    mixed, own, g = np.zeros((*state.shape, 2)), np.zeros((2, 2)), np.zeros(2)
-    for family in families:
-        linear = family.linearize(state, state)
-        (B,), (nodes,) = linear.jacobians, linear.nodes
-        W = linear.information * family.kernel_weights(state)[:, None, None]
-        J = turn_matrix(state[nodes, 2])[:, : family.dimension, :2]
-        # a lever does not act on the heading
-        J[:, 2:] = 0.0
-        np.add.at(mixed, nodes, np.swapaxes(B, 1, 2) @ W @ J)
-        own += np.einsum("eji,ejk,ekl->il", J, W, J)
-        g -= np.einsum("eji,ejk,ek->i", J, W, linear.residuals)
-    mixed[graph.fixed] = 0.0
-    S = Bordered(system.own_factor(), mixed, own).schur
-    determined = np.linalg.eigvalsh(S)[0] > DETERMINED * np.trace(own)
-    return np.linalg.solve(S, g) if determined else np.zeros(2), S
 
 
 def _motion_errors(graph: Graph, state: Array) -> tuple[Any, Array, Array] | None:
