@@ -13,7 +13,8 @@ change. A camera has the height in y (right, down, ahead: OpenCV, AprilTag), oth
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import re
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 
 import numpy as np
@@ -27,27 +28,44 @@ from .table import Chosen, Table, plain
 _AXIS, _ECCENTRICITY = 6378137.0, 6.69437999014e-3
 
 
-def local_plane(fixes: Array, datum: Array, height: float = 0.0) -> Array:
-    """East and north (N, 2) [m] of fixes (N, 2), latitude and longitude [degrees], in the plane that touches at the datum."""
+def _earth(degrees: Array, height: float = 0.0) -> Array:
+    """The point (..., 3) [m] of the ellipsoid at latitude and longitude (..., 2)."""
+    latitude, longitude = np.moveaxis(np.radians(degrees), -1, 0)
+    N = _AXIS / np.sqrt(1 - _ECCENTRICITY * np.sin(latitude) ** 2)
+    along = (N + height) * np.cos(latitude)
+    up = (N * (1 - _ECCENTRICITY) + height) * np.sin(latitude)
+    return np.stack([along * np.cos(longitude), along * np.sin(longitude), up], axis=-1)
 
-    def earth(latitude: Array, longitude: Array) -> Array:
-        N = _AXIS / np.sqrt(1 - _ECCENTRICITY * np.sin(latitude) ** 2)
-        along = (N + height) * np.cos(latitude)
-        up = (N * (1 - _ECCENTRICITY) + height) * np.sin(latitude)
-        return np.stack([along * np.cos(longitude), along * np.sin(longitude), up], axis=-1)
 
+def _axes(datum: Array) -> Array:
+    """The directions (2, 3) of east and north at a datum."""
     phi, lam = np.radians(datum)
-    axes = np.array([
+    return np.array([
         [-np.sin(lam), np.cos(lam), 0.0],
         [-np.sin(phi) * np.cos(lam), -np.sin(phi) * np.sin(lam), np.cos(phi)],
     ])  # fmt: skip
-    return np.asarray((earth(*np.radians(fixes).T) - earth(phi, lam)) @ axes.T)
+
+
+def local_plane(fixes: Array, datum: Array, height: float = 0.0) -> Array:
+    """East and north (N, 2) [m] of fixes (N, 2), latitude and longitude [degrees], in the plane that touches at the datum."""
+    return np.asarray((_earth(fixes, height) - _earth(datum, height)) @ _axes(datum).T)
+
+
+def on_plane_of(datum: Array, places: Array, own: Array) -> Array:
+    """Places (N, 2) [m] east and north of their own datum as those of another one."""
+    return np.asarray((_earth(own) + places @ _axes(own) - _earth(datum)) @ _axes(datum).T)
 
 
 def datum_note(datum: Array, source: str) -> str:
-    """The sentence about the origin of the plane."""
+    """The sentence about the origin of the plane, which `datum_of` reads."""
     where = f"latitude {datum[0]:.8f}, longitude {datum[1]:.8f} degrees (WGS 84)"
     return f"positions are metres east and north of {where}, the first fix of {source}"
+
+
+def datum_of(notes: Iterable[str]) -> Array | None:
+    """The datum that the first `datum_note` among notes names, if there is one."""
+    found = (re.search(r"metres east and north of latitude (\S+), longitude (\S+) degrees", note) for note in notes)
+    return next((np.array([float(match[1]), float(match[2])]) for match in found if match), None)
 
 
 #: the roles of the columns of wheels

@@ -124,7 +124,8 @@ class LandmarkMap(dict[int, Array]):
             OptionError: there is no format with this ending.
             FormatError: the file cannot be written.
         """
-        write_map(path_of(path), self)
+        # a landmark may have been taken out like any other entry of a dictionary
+        write_map(path_of(path), self.among(self))
 
     def copy(self) -> LandmarkMap:
         """A map of its own, with what is known of the errors."""
@@ -179,14 +180,15 @@ class LandmarkMap(dict[int, Array]):
             return LandmarkMap(self, classes=self.classes, joint=joint)
         parts = zip(self, np.split(added, np.cumsum(sizes)[:-1]))
         own = {j: self.covariances.get(j, 0.0) + np.diag(variances) for j, variances in parts}
-        return LandmarkMap(self, own, classes=self.classes)
+        return LandmarkMap(self, own, classes=self.classes, correlated=self.correlated)
 
     def among(self, ids: Iterable[int]) -> LandmarkMap:
         """The map of those of the ids that it has."""
         kept = sorted(set(ids) & set(self))
         means, known = {j: self[j] for j in kept}, [j for j in kept if j in self.covariances]
         if self.joint is None:
-            return LandmarkMap(means, {j: self.covariances[j] for j in known}, classes=self.classes)
+            own = {j: self.covariances[j] for j in known}
+            return LandmarkMap(means, own, classes=self.classes, correlated=self.correlated)
         rows, *_ = self._in_joint(known)
         return LandmarkMap(means, classes=self.classes, joint=self.joint[np.ix_(rows, rows)], joint_ids=known)
 

@@ -334,8 +334,8 @@ def _sure(log: Stretch, landmarks: LandmarkMap, fixes: list[Fix]) -> Fix:
         return fixes[0]
     likely = [fix for fix in fixes if fix.odds > 1 / SURE][:4]
     sure = sum(fix.odds / (1 + fix.odds) for fix in likely)
-    # places that are alike leave no doubt about the map
-    for name, changed in _corrected(landmarks) if sure < 0.99 else ():
+    # several places that are alike leave no doubt about the map
+    for name, changed in _corrected(landmarks) if sure < 0.99 or len(likely) == 1 else ():
         known = Constellations.of(changed, float(np.quantile(log.sightings[:, 0], 0.98)))
         others = _fixes_here(log, known, changed)
         if others and others[0].odds > SURE:
@@ -347,7 +347,7 @@ def _sure(log: Stretch, landmarks: LandmarkMap, fixes: list[Fix]) -> Fix:
         raise GraphError(f"{which}: no place surely has a constellation of landmarks like theirs; {cause}")
     places = "; ".join(
         f"({fix.pose[0]:.2f}, {fix.pose[1]:.2f}) m, {np.degrees(fix.pose[2]):.0f} degrees with probability "
-        f"{fix.odds / (1 + fix.odds):.2g}"
+        f"{fix.odds / (1 + fix.odds):.3g}"
         for fix in likely
     )
     which = f"{log.name} has sightings without ids, and they do not say surely where in the map it begins"

@@ -322,7 +322,7 @@ def _of_entries(path: Path, entries: list[_Entry]) -> Parts:
     classes: dict[int, Any] = {}
     for entry, line, where in entries:
         j = entry.get("id")
-        if isinstance(j, str) and j.strip().isdigit():
+        if isinstance(j, str) and j.strip().isdecimal():
             j = int(j)
         if not isinstance(j, int) or isinstance(j, bool):
             raise FormatError(path, line, f"{where} has the id {quoted(j)}; ids are whole numbers")
@@ -354,14 +354,14 @@ def _of_entries(path: Path, entries: list[_Entry]) -> Parts:
 
 
 def _number(path: Path, line: int | None, where: str, entry: Mapping[str, Any], name: str) -> float:
-    value = entry.get(name)
-    if isinstance(value, str):
-        # YAML 1.1 takes 1e-07, without a point, for a word
-        with suppress(ValueError):
-            value = float(value)
-    if not isinstance(value, (int, float)) or isinstance(value, bool) or not np.isfinite(value):
+    value, number = entry.get(name), np.nan
+    # YAML 1.1 takes 1e-07, without a point, for a word
+    if isinstance(value, (int, float, str)) and not isinstance(value, bool):
+        with suppress(ValueError, OverflowError):
+            number = float(value)
+    if not np.isfinite(number):
         raise FormatError(path, line, f"{where} needs a number as {name}, not {quoted(value)}")
-    return float(value)
+    return number
 
 
 def _as_table(landmarks: LandmarkMap, comma: str = ",") -> bytes:

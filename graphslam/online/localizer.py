@@ -24,8 +24,16 @@ from ..maps.tracker import LARGE, Tracker, inflation
 from ..maps.tracking import DOUBT, elsewhere, sure_fix
 from ..models import SensorModel
 from ..se2 import Array, between, rotation
-from ..solvers.contradictions import MEDIANS, MOST_MOVED, TAKEN_FOR_RIGHT, said_of_moved
-from ..solvers.map_errors import FEWEST, MOST, likeliest_deviation, of_log, said_of_wider, scores_in_map
+from ..solvers.contradictions import MEDIANS, MOST_MOVED, TAKEN_FOR_RIGHT
+from ..solvers.map_errors import (
+    FEWEST,
+    MOST,
+    likeliest_deviation,
+    of_log,
+    said_of_moved,
+    said_of_wider,
+    scores_in_map,
+)
 from .backend import FREE_START, Backend, Relation
 
 #: how much more must have been seen until another fix is tried, or a map checked again that was just widened

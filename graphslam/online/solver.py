@@ -106,6 +106,8 @@ class OnlineSolver:
             if not known_map:
                 raise GraphError("the map has no landmarks, so that the robot cannot be found in the map")
             held = options.pop("start_covariance", None)
+            if held is not None and first is None:
+                raise OptionError("start_covariance needs start: in a map the first pose is unknown without it")
             # without a covariance the start is exact
             held = np.linalg.inv(ANCHOR_INFORMATION) if held is None else held
             make = partial(kind, sensor=self.sensor, kernel=self.kernel, **options)

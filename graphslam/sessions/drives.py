@@ -47,6 +47,7 @@ from ..identification.known import known_robot
 from ..log import UNIDENTIFIED, Log
 from ..log.cells import MOVED_BETWEEN, Doubt
 from ..log.continuous_time import CLOCK, nearest_of, with_poses_at
+from ..log.geometry import datum_note, datum_of, on_plane_of
 from ..log.join import end_to_end, joined_rows
 from ..log.measurements import PoseRelations, length_of
 from ..log.rows import robot_class
@@ -120,6 +121,7 @@ def join_logs(logs: Sequence[Log], *, mean_noise: bool = False, placed: bool = F
         logs = with_common_noise(logs, [None if each is None else each.inflation for each in estimates])
     for each in logs:
         _check(each, logs[0])
+    logs = _on_one_plane(logs)
     if len(logs) > 1 and not all(each.identified for each in logs):
         joined, starts = joined_without_ids(logs)
         return Sessions(joined, (*starts, joined.num_poses))
@@ -211,6 +213,7 @@ def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = 
     factors = np.array(inflations if known else np.ones(len(logs)), dtype=float)
     limit = UNLIKE if known else UNLIKE_WITH_CORRELATIONS
     for k, (log, own) in enumerate(zip(logs, sensors)):
+        _check_single_numbers(log, own, sensor)
         robot = np.zeros((len(log.sightings), 3))
         seen = log.sightings if own.offset == sensor.offset else sensor.h(robot, own.h_inverse(robot, log.sightings))
         variances = [np.diagonal(model.Q(log.sightings), axis1=1, axis2=2) for model in sensors]
@@ -227,6 +230,22 @@ def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = 
     return common
 
 
+def _check_single_numbers(log: Log, own: SensorModel, common: SensorModel) -> None:
+    """Raise `LogError` where ranges or bearings alone would have to be given as from another place of the sensor.
+
+    A difference below the noise of the range does no harm.
+    """
+    apart, exact = float(np.hypot(*np.subtract(own.offset, common.offset))), 0.0
+    if len(log.sightings):
+        exact = float(np.sqrt(np.median(own.Q(log.sightings)[:, 0, 0])))
+    if log.partial_sightings is not None and apart > exact:
+        cannot = "which cannot be given as from another place of the sensor"
+        where = f"its own is {apart:.2g} m from the mean of the logs"
+        raise LogError(
+            f"{log.name} has ranges or bearings alone, {cannot}: {where}. Solve it in the map of the others (map=)"
+        )
+
+
 def _check(log: Log, first: Log) -> None:
     """Raise `LogError` where a log cannot be joined to the first one."""
     if log.controls is None:
@@ -240,6 +259,23 @@ def _check(log: Log, first: Log) -> None:
             differ = f"{log.name} and {first.name} differ in {name}: {getattr(log, name)} and {getattr(first, name)}"
             means = ", or join_logs(logs, mean_noise=True) takes the means" if name != "truth_offset" else ""
             raise LogError(f"{differ}. One graph has one; make them the same with Log.replace({name}=...){means}")
+
+
+def _on_one_plane(logs: Sequence[Log]) -> list[Log]:
+    """The logs with positions east and north of one datum, the first one, in place of the first fix of each log."""
+    datum, moved = None, list(logs)
+    for k, log in enumerate(logs):
+        own = datum_of(log.notes)
+        if log.positions is None or own is None:
+            continue
+        datum = own if datum is None else datum
+        if not np.array_equal(own, datum):
+            places = log.positions.places.copy()
+            places[:, :2] = on_plane_of(datum, places[:, :2], own)
+            notes = [note for note in log.notes if datum_of([note]) is None]
+            notes.append(f"its {datum_note(datum, 'an earlier log')}")
+            moved[k] = log.replace(positions=replace(log.positions, places=places), notes=tuple(notes))
+    return moved
 
 
 def _placed(log: Log, before: Log, known: LandmarkMap, models: dict[str, Any]) -> Log:

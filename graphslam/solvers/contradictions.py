@@ -15,11 +15,6 @@ median 2 log 2. Biases of the robot whose uncertainty the graph holds (`Graph.he
 the polar residual and the noise at predicted ranges here, because the Cartesian one and noise that grows with measured ranges
 change the size of a world by a little.
 
-**Positions.** An antenna beside the robot's pose, whose lever nobody has stated, moves all positions by R(theta) s, and
-odometry and sightings follow them as far as they can: J = R(theta), and the sum of B' W e over all measurements is zero at
-the solution. Where s is large, the graph is solved again with it, and the step repeated. Where the heading does not change,
-S is small.
-
 **Covariances.** A residual of a position or a relation has the covariance W^-1 - B P B' at the solution, P that of its nodes.
 The median of its squared Mahalanobis norm, over that of chi-square, tells how much larger the errors are than their
 covariances say, also where some positions or relations are wrong.
@@ -33,7 +28,7 @@ procedure for use in geodetic networks*, 1968 (the covariance of residuals).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -41,25 +36,27 @@ import numpy as np
 
 from ..edges import LandmarkPriors, ObservationEdges, PolarObservationEdges, PositionEdges, PriorEdges, RelationEdges
 from ..errors import GraphError
-from ..errors.checks import listed
 from ..graph import Graph
 from ..identification.odometry import NOTHING, STILL, Edges
 from ..identification.slips import SLIPPED, Found, Motions, largest_slip, without_slips
 from ..linear.cholesky import Bordered, FactorizationError
+from ..linear.information import BlockSystem
 from ..log import Log
 from ..maps.localization import SURE
+from ..maps.registration import evenly
 from ..models import additional_variances
 from ..se2 import Array, between, difference, perpendicular, turn_matrix
-from .iteration import end_of, levenberg_marquardt
 from .joint import JointFactor, JointGraph, motion_edges, times
-from .map_errors import DETERMINED, FEWEST, displacements, in_map, likeliest_deviation, misfit
+from .map_errors import FEWEST, displacements, in_map, likeliest_deviation, misfit, said_of_moved
 from .uncertainty import Uncertainty
 
 if TYPE_CHECKING:
     from .solution import Solution
 
-#: the most landmarks that are tested
-MOST = 40
+#: the most landmarks that are tested, evenly spread, and of the others those that their sightings pull hardest
+MOST, PULLED = 40, 20
+#: of the numbers that are tested in a map, the coordinates of those that are evenly spread: medians of all would be too large
+EVEN = slice(1, 1 + 2 * MOST)
 #: doubtful is a median of q above so many times 2 log 2, and a scale so many standard errors from 1, at most 2.1 and 4.6 of
 #: which were found on 90 drives in the right map; or a lever of so many standard errors
 LARGE, SIGNIFICANT = 6.0, 6.0
@@ -68,22 +65,19 @@ SUSPECT = 1.3
 #: a landmark has moved from this q on. On 24 drives with the kernel cauchy, in maps with joint and with own covariances, at
 #: most 7 was found where none had moved, and 40 for one that had not among some that had
 MOVED = 60.0
-#: where more than this part of the landmarks that are tested has moved, it is the map that is wrong
+#: where more than this part of the landmarks of the map that are seen has moved, it is the map that is wrong
 MOST_MOVED = 0.34
 #: the scale of a map that is doubtful by its landmarks is said from so many standard errors on
 TELLING = 3.0
 #: the fewest positions or relations that say something, and the part of the information of one that the rest must have to
 #: check it
 FEWEST_CHECKED, CHECKED = 10, 0.1
-#: above this factor, positions are in another frame rather than noisier than they say
-OTHER_FRAME = 100.0
 #: what a solution does with a map that is doubtful, where it is not solved again
 TAKEN_FOR_RIGHT = "Poses and their covariances take the map for right"
 #: covariances of positions and relations are doubtful whose roots are wrong by more than this factor
 MISJUDGED = 2.0
-#: the most rounds in which the solution follows the lever, the damped steps in each, and the squared step in standard errors
-#: that is small
-ROUNDS, STEPS, SETTLED = 10, 20, 0.01
+#: the most rounds in which moved landmarks are left out
+ROUNDS = 10
 #: the medians of chi-square by degrees of freedom
 MEDIANS = np.array([0.0, 0.454936, 2 * np.log(2), 2.365974])
 #: a coordinate is not measured whose standard deviation is so many times its errors
@@ -111,10 +105,10 @@ def doubt_of_map(graph: Graph, state: Array, *, suspected: bool = True) -> tuple
     """
     if (scores := _scores_of_map(graph, state)) is None:
         return "", 0.0, True
-    tested, g, S, alone = scores
+    tested, _, g, S, alone = scores
     try:
-        ratio, size = misfit(g[1:], S[1:, 1:], alone[1:, 1:])
-        deviation, gain = likeliest_deviation(S[1:, 1:], g[1:])
+        ratio, size = misfit(g[EVEN], S[EVEN, EVEN], alone[EVEN, EVEN])
+        deviation, gain = likeliest_deviation(S[EVEN, EVEN], g[EVEN])
     except np.linalg.LinAlgError:
         return "", 0.0, True
     sure = ratio**2 > LARGE
@@ -141,10 +135,10 @@ def doubt_of_map(graph: Graph, state: Array, *, suspected: bool = True) -> tuple
     return text, deviation if off else 0.0, sure or not off
 
 
-def _scores_of_map(graph: Graph, state: Array) -> tuple[np.ndarray, Array, Array, Array] | None:
-    """The nodes of the landmarks of the map that are tested, and `_scores` of its scale and of their two axes each.
+def _scores_of_map(graph: Graph, state: Array) -> tuple[np.ndarray, int, Array, Array, Array] | None:
+    """The nodes of the landmarks of the map that are tested, and the number of all that the log sees.
 
-    None where there is nothing to test.
+    Then `_scores` of the scale of the map and of two axes of each node. None where there is nothing to test.
     """
     if graph.map is None or graph.log is None or graph.parameters is not None:
         return None
@@ -152,15 +146,25 @@ def _scores_of_map(graph: Graph, state: Array) -> tuple[np.ndarray, Array, Array
     nodes = np.sort(nodes[np.isin(graph.landmark_ids[nodes - len(graph.steps)], graph.log.landmarks)])
     if len(nodes) < FEWEST:
         return None
-    tested = nodes[np.unique(np.linspace(0, len(nodes) - 1, MOST).round().astype(int))]
-    directions = np.zeros((*state.shape, 1 + 2 * len(tested)))
-    directions[nodes, :2, 0] = state[nodes, :2] - state[nodes, :2].mean(axis=0)
-    for axis in (0, 1):
-        directions[tested, axis, 1 + axis + 2 * np.arange(len(tested))] = 1.0
+    tested = nodes[evenly(len(nodes), MOST)]
     try:
-        return tested, *_scores(_unbiased(graph, state), state, directions)
+        unbiased = _unbiased(graph, state)
+        others = np.setdiff1d(nodes, tested)
+        tested = np.concatenate([tested, others[np.argsort(-_pulls(unbiased, state, others))[:PULLED]]])
+        directions = np.zeros((*state.shape, 1 + 2 * len(tested)))
+        directions[nodes, :2, 0] = state[nodes, :2] - state[nodes, :2].mean(axis=0)
+        for axis in (0, 1):
+            directions[tested, axis, 1 + axis + 2 * np.arange(len(tested))] = 1.0
+        return tested, len(nodes), *_scores(unbiased, state, directions)
     except (FactorizationError, GraphError, np.linalg.LinAlgError):
         return None
+
+
+def _pulls(graph: Graph, state: Array, nodes: np.ndarray) -> Array:
+    """How hard sightings pull landmarks (k,), in squared standard deviations from exact poses; at most q."""
+    system = _of_measurements(graph, state, graph.linearize(state)[0])
+    own, forces = system.values[system.diagonal_slots[nodes], :2, :2], system.xi[nodes, :2]
+    return np.asarray(np.einsum("ki,kij,kj->k", forces, np.linalg.pinv(own, hermitian=True), forces))
 
 
 def without_moved(solution: Solution, again: Callable[[Graph], Solution]) -> tuple[Solution, str]:
@@ -176,17 +180,17 @@ def without_moved(solution: Solution, again: Callable[[Graph], Solution]) -> tup
     for _ in range(ROUNDS):
         if graph is None or (scores := _scores_of_map(graph, solution.state)) is None:
             break
-        tested, g, S, alone = scores[0], scores[1][1:], scores[2][1:, 1:], scores[3][1:, 1:]
+        tested, count, g, S, alone = scores
         try:
-            q, size, determined = displacements(g, S, alone)
-            least = MOVED * max(1.0, misfit(g, S, alone)[0] ** 2)
+            q, size, determined = displacements(g[1:], S[1:, 1:], alone[1:, 1:])
+            least = MOVED * max(1.0, misfit(g[EVEN], S[EVEN, EVEN], alone[EVEN, EVEN])[0] ** 2)
             if not len(q) or q.max() <= least:
                 break
             most = q > max(least, q.max() / 2)
             largest = max(largest, size[most].max())
-            all_tested = len(tested) + len(away)
+            seen = count + len(away)
             away += graph.landmark_ids[tested[determined][most] - len(graph.steps)].tolist()
-            if len(away) > MOST_MOVED * all_tested:
+            if len(away) > MOST_MOVED * seen:
                 return first, ""
             assert graph.map is not None
             left = graph.map.among(set(graph.map) - set(away))
@@ -199,17 +203,6 @@ def without_moved(solution: Solution, again: Callable[[Graph], Solution]) -> tup
     if not away:
         return first, ""
     return solution, said_of_moved(away, largest, left_out=True)
-
-
-def said_of_moved(ids: Iterable[int], size: float, *, left_out: bool) -> str:
-    """A sentence on landmarks that have moved, by up to a size [m], and whether the map counts without them."""
-    done = "The map counts without moved landmarks, which this log places anew; map_states says what else has changed"
-    if not left_out:
-        done = (
-            "Moved landmarks pull the poses along, which are less exact than their covariances say; map_states says what has "
-            "changed, and its map leaves moved landmarks out"
-        )
-    return f"probably moved since the map was made: {listed('landmark', sorted(ids))}, by up to {size:.2g} m. {done}"
 
 
 def _moved(graph: Graph, tested: np.ndarray, g: Array, S: Array, alone: Array, ratio: float) -> str:
@@ -246,11 +239,7 @@ def _scores(graph: Graph, state: Array, directions: Array) -> tuple[Array, Array
     """
     system, _ = graph.linearize(state)
     xi, factor = system.xi.copy(), system.own_factor()
-    system.clear()
-    for family in graph.families:
-        if not isinstance(family, (LandmarkPriors, PriorEdges)):
-            family.accumulate(state, state, system)
-    mixed = times(system, directions)
+    mixed = times(_of_measurements(graph, state, system), directions)
     g, alone = np.einsum("nik,ni->k", directions, system.xi), np.einsum("nik,nil->kl", directions, mixed)
     mixed[graph.fixed] = 0.0
     moved = Bordered(factor, mixed, alone)
@@ -258,7 +247,8 @@ def _scores(graph: Graph, state: Array, directions: Array) -> tuple[Array, Array
     g -= np.einsum("nik,ni->k", reach, xi)
     if graph.held is not None:
         joint = JointGraph(replace(graph, parameters=graph.held))
-        border = joint.border(joint.graph, state, state)
+        # the directions move nodes that are held, too
+        border = joint.border(replace(joint.graph, fixed=graph.fixed[:0]), state, state)
         crossed = np.einsum("nip,nik->pk", border.mixed, directions)
         border.mixed[graph.fixed] = 0.0
         beside = JointFactor(joint, factor, border)
@@ -269,69 +259,16 @@ def _scores(graph: Graph, state: Array, directions: Array) -> tuple[Array, Array
     return g, S, alone
 
 
-def doubt_of_positions(graph: Graph, state: Array, *, lasting: bool = False) -> str:
-    """A sentence where the lever or the covariances of positions are probably wrong; empty otherwise.
-
-    Args:
-        lasting: whether the covariances are those of lasting errors, so that they say nothing of single ones.
-    """
-    families = [family for family in graph.families if isinstance(family, PositionEdges)]
-    if graph.parameters is not None or sum(family.count for family in families) < FEWEST_CHECKED:
-        return ""
-    try:
-        lever, S = _lever_step(graph, families, state)
-        if np.sqrt(lever @ S @ lever) > SIGNIFICANT:
-            lever, S, rest = _lever_followed(graph, state, lever)
-        else:
-            rest = 1.0
-        ratio = _misfit_of(graph, state, PositionEdges)
-    except (FactorizationError, GraphError, np.linalg.LinAlgError):
-        return ""
-    if np.sqrt(lever @ S @ lever) > SIGNIFICANT * rest:
-        error = rest * np.linalg.eigvalsh(S)[0] ** -0.5
-        return (
-            f"the positions fit better with the point that they measure {lever[0]:.2g} m ahead and {lever[1]:.2g} m left of "
-            f"where the log has it (standard error {error:.1g} m): poses are off by as much. Check the lever of the antenna "
-            "(lever_x, lever_y), and whether the times of the positions are late or early"
-        )
-    if lasting or ratio == 0 or 1 / MISJUDGED <= ratio <= MISJUDGED:
-        return ""
-    if ratio > OTHER_FRAME:
-        return (
-            f"the errors of the positions are {ratio:.2g} times what their covariances say (median): they are probably in "
-            "another frame or unit than the map, the landmarks or the first pose, and pull the poses along. Put them into "
-            "that frame; only where they are in it already, multiply their standard deviations by this factor"
-        )
-    return (
-        f"the errors of the positions are {ratio:.2g} times what their covariances say (median), so that covariances of "
-        "poses are wrong, too: multiply the standard deviations of the positions by this factor, unless they are in another "
-        "frame, or the noise models of odometry and sightings are wrong"
-    )
+def _of_measurements(graph: Graph, state: Array, system: BlockSystem) -> BlockSystem:
+    """The system of all edges but the map."""
+    system.clear()
+    for family in graph.families:
+        if not isinstance(family, (LandmarkPriors, PriorEdges)):
+            family.accumulate(state, state, system)
+    return system
 
 
-def _lever_followed(graph: Graph, state: Array, lever: Array) -> tuple[Array, Array, float]:
-    """s and S after repeated solutions with the lever that s gives, and the errors over the stated ones there, at least 1.
-
-    Raises:
-        FactorizationError, GraphError: the edges do not determine the nodes.
-    """
-    total = lever
-
-    def moved(edges: PositionEdges) -> PositionEdges:
-        return replace(edges, levers=edges.levers + total)
-
-    for _ in range(ROUNDS):
-        other = graph.with_changed(PositionEdges, moved)
-        state = end_of(levenberg_marquardt, other, state, max_iterations=STEPS)
-        families = [each for each in other.families if isinstance(each, PositionEdges)]
-        step, S = _lever_step(other, families, state)
-        if step @ S @ step < SETTLED:
-            break
-        total = total + step
-    return total, S, max(1.0, _misfit_of(other, state, PositionEdges))
-
-
-def _misfit_of(graph: Graph, state: Array, kind: type[PositionEdges] | type[RelationEdges]) -> float:
+def misfit_of_edges(graph: Graph, state: Array, kind: type[PositionEdges] | type[RelationEdges]) -> float:
     """The errors of edges that the rest of the graph checks over what their covariances say; 0 where it checks few."""
     # where the edges are noisier than they say, the weights of a kernel would be those of other covariances
     plain = graph.with_changed(kind, lambda family: replace(family, kernel=None))
@@ -364,7 +301,7 @@ def doubt_of_relations(graph: Graph, state: Array) -> str:
     if graph.log is None or graph.parameters is not None or count < FEWEST_CHECKED:
         return ""
     try:
-        ratio = _misfit_of(graph, state, RelationEdges)
+        ratio = misfit_of_edges(graph, state, RelationEdges)
     except (FactorizationError, GraphError, np.linalg.LinAlgError):
         return ""
     if ratio == 0 or 1 / MISJUDGED <= ratio <= MISJUDGED:
@@ -374,30 +311,6 @@ def doubt_of_relations(graph: Graph, state: Array) -> str:
         "poses are wrong, too: multiply the standard deviations of the relations by this factor, unless they are between "
         "other poses, or the noise models of odometry and sightings are wrong"
     )
-
-
-def _lever_step(graph: Graph, families: list[PositionEdges], state: Array) -> tuple[Array, Array]:
-    """s (2,) and S (2, 2).
-
-    Raises:
-        FactorizationError: the edges do not determine the nodes.
-    """
-    system, _ = graph.linearize(state)
-    mixed, own, g = np.zeros((*state.shape, 2)), np.zeros((2, 2)), np.zeros(2)
-    for family in families:
-        linear = family.linearize(state, state)
-        (B,), (nodes,) = linear.jacobians, linear.nodes
-        W = linear.information * family.kernel_weights(state)[:, None, None]
-        J = turn_matrix(state[nodes, 2])[:, : family.dimension, :2]
-        # a lever does not act on the heading
-        J[:, 2:] = 0.0
-        np.add.at(mixed, nodes, np.swapaxes(B, 1, 2) @ W @ J)
-        own += np.einsum("eji,ejk,ekl->il", J, W, J)
-        g -= np.einsum("eji,ejk,ek->i", J, W, linear.residuals)
-    mixed[graph.fixed] = 0.0
-    S = Bordered(system.own_factor(), mixed, own).schur
-    determined = np.linalg.eigvalsh(S)[0] > DETERMINED * np.trace(own)
-    return np.linalg.solve(S, g) if determined else np.zeros(2), S
 
 
 def _motion_errors(graph: Graph, state: Array) -> tuple[Any, Array, Array] | None:

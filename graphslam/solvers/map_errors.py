@@ -24,7 +24,7 @@ Welsch, *Regression Diagnostics*, 1980, chapter 2 (deletion of observations).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -32,6 +32,7 @@ import numpy as np
 
 from ..edges import LandmarkPriors, PriorEdges, Way
 from ..errors import GraphError
+from ..errors.checks import listed
 from ..graph import Graph
 from ..graph.build import priors_of_map
 from ..maps.landmark_map import LandmarkMap
@@ -98,6 +99,17 @@ def said_of_wider(deviation: float) -> str:
         f"Poses, covariances and risks count each of its places as off by {deviation:.2g} m more than the map says "
         "(standard deviation of x and y), as the log shows"
     )
+
+
+def said_of_moved(ids: Iterable[int], size: float, *, left_out: bool) -> str:
+    """A sentence on landmarks that have moved, by up to a size [m], and whether the map counts without them."""
+    done = "The map counts without moved landmarks, which this log places anew; map_states says what else has changed"
+    if not left_out:
+        done = (
+            "Moved landmarks pull the poses along, which are less exact than their covariances say; map_states says what has "
+            "changed, and its map leaves moved landmarks out"
+        )
+    return f"probably moved since the map was made: {listed('landmark', sorted(ids))}, by up to {size:.2g} m. {done}"
 
 
 def in_map(graph: Graph, known: LandmarkMap, state: Array) -> Graph:

@@ -1,6 +1,13 @@
-"""Errors of absolute positions that last, as those of satellite receivers, and the solution that counts them.
+"""Errors of absolute positions: a lever or a frame other than the stated one, and errors that last, which a solution counts.
 
-The covariances of positions are those of independent errors. Where the error of a position is much that of the one before,
+**Lever and frame** are checked by the score test of `contradictions`. An antenna beside the robot's pose, whose lever nobody
+has stated, moves all positions by R(theta) s, and odometry and sightings follow them as far as they can: J = R(theta), and
+the sum of B' W e over all measurements is zero at the solution. Where s is large, the graph is solved again with it, and the
+step repeated. Where the heading does not change, S is small. In a map, positions of another frame are off by s in its axes,
+J = I.
+
+**Errors that last**, as those of satellite receivers. The covariances of positions are those of independent errors. Where the
+error of a position is much that of the one before,
 n positions say no more than one, and covariances with independent errors are too small by this factor. The variances of the
 errors of single positions, of those that last over L positions each, of motions and of sightings follow from the residuals
 as in `scan_errors`. Over times that are long against the errors, positions then are as good as independent ones with
@@ -30,10 +37,12 @@ import numpy as np
 from ..edges import PositionEdges, SightingEdges
 from ..errors import GraphError
 from ..graph import Graph
-from ..linear.cholesky import FactorizationError
+from ..linear.cholesky import Bordered, FactorizationError
 from ..se2 import Array, turn_matrix
-from .contradictions import OTHER_FRAME
+from .contradictions import FEWEST_CHECKED, MISJUDGED, SIGNIFICANT, misfit_of_edges
+from .iteration import end_of, levenberg_marquardt
 from .joint import motion_edges
+from .map_errors import DETERMINED
 from .scan_errors import SHARE, Whitened, counted_once, equations, settled, variances
 
 if TYPE_CHECKING:
@@ -59,6 +68,13 @@ LITTLE = 0.25
 SCALED, SMALLEST = 3, 1e-3
 #: the rounds in which m is found, and the smallest m that is said
 ROUNDS, LEAST = 4, 1.5
+#: above this factor, positions are in another frame rather than noisier than they say
+OTHER_FRAME = 100.0
+#: no antenna is farther from the robot's pose than this [m]
+FARTHEST = 30.0
+#: the most rounds in which the solution follows the lever or the frame, the damped steps in each, and the squared step in
+#: standard errors that is small
+FOLLOWED, STEPS, SMALL = 10, 20, 0.01
 
 
 def with_lasting_errors(solution: Solution, again: Callable[[Graph], Solution] | None) -> tuple[Solution, str]:
@@ -210,3 +226,118 @@ def _windows(count: int, length: int) -> Any:
     inside = (row >= 0) & (row < count)
     windows = np.bincount(row[inside], minlength=count)
     return csr_matrix((windows[row[inside]] ** -0.5, (row[inside], column[inside])), (count, len(starts)))
+
+
+def doubt_of_frame(graph: Graph, state: Array) -> str:
+    """A sentence where positions are probably in another frame than the map; empty otherwise."""
+    families = _checked(graph)
+    if not families or not graph.map:
+        return ""
+    try:
+        shift, S, rest = _fitted(graph, families, state, in_world=True)
+        lever, T, other = _fitted(graph, families, state, in_world=False)
+    except (FactorizationError, GraphError, np.linalg.LinAlgError):
+        return ""
+    z, z_of_lever = float(np.sqrt(shift @ S @ shift)) / rest, float(np.sqrt(lever @ T @ lever)) / other
+    # where they do not fit with it either, there is more than a shift
+    if not z > max(SIGNIFICANT, z_of_lever) or rest > MISJUDGED:
+        return ""
+    error = rest * np.linalg.eigvalsh(S)[0] ** -0.5
+    return (
+        f"the positions lie {shift[0]:.2g} m along x and {shift[1]:.2g} m along y from where the map has them (standard "
+        f"error {error:.1g} m), and pull the poses along: they are probably in another frame, such as metres east and "
+        "north of another first fix, or all have one error. Put them into the frame of the map, or leave them out"
+    )
+
+
+def doubt_of_positions(graph: Graph, state: Array, *, lasting: bool = False) -> str:
+    """A sentence where the lever or the covariances of positions are probably wrong; empty otherwise.
+
+    Args:
+        lasting: whether the covariances are those of lasting errors, so that they say nothing of single ones.
+    """
+    if not (families := _checked(graph)):
+        return ""
+    try:
+        lever, S, rest = _fitted(graph, families, state, in_world=False)
+        ratio = misfit_of_edges(graph, state, PositionEdges)
+    except (FactorizationError, GraphError, np.linalg.LinAlgError):
+        return ""
+    if np.sqrt(lever @ S @ lever) > SIGNIFICANT * rest and np.hypot(*lever) < FARTHEST:
+        error = rest * np.linalg.eigvalsh(S)[0] ** -0.5
+        return (
+            f"the positions fit better with the point that they measure {lever[0]:.2g} m ahead and {lever[1]:.2g} m left of "
+            f"where the log has it (standard error {error:.1g} m): poses are off by as much. Check the lever of the antenna "
+            "(lever_x, lever_y), and whether the times of the positions are late or early"
+        )
+    if lasting or ratio == 0 or 1 / MISJUDGED <= ratio <= MISJUDGED:
+        return ""
+    if ratio > OTHER_FRAME:
+        return (
+            f"the errors of the positions are {ratio:.2g} times what their covariances say (median): they are probably in "
+            "another frame or unit than the map, the landmarks or the first pose, and pull the poses along. Put them into "
+            "that frame; only where they are in it already, multiply their standard deviations by this factor"
+        )
+    return (
+        f"the errors of the positions are {ratio:.2g} times what their covariances say (median), so that covariances of "
+        "poses are wrong, too: multiply the standard deviations of the positions by this factor, unless they are in another "
+        "frame, or the noise models of odometry and sightings are wrong"
+    )
+
+
+def _checked(graph: Graph) -> list[PositionEdges]:
+    """The positions of a graph where these are enough to check them, else none."""
+    families = [family for family in graph.families if isinstance(family, PositionEdges)]
+    few = graph.parameters is not None or sum(family.count for family in families) < FEWEST_CHECKED
+    return [] if few else families
+
+
+def _fitted(graph: Graph, families: list[PositionEdges], state: Array, *, in_world: bool) -> tuple[Array, Array, float]:
+    """The lever s, or the shift s in axes of the world, S, and the errors over the stated ones with s, at least 1.
+
+    Where s is large, the solution follows it.
+
+    Raises:
+        FactorizationError, GraphError: the edges do not determine the nodes.
+    """
+    total, S = _step(graph, families, state, in_world)
+    if total @ S @ total <= SIGNIFICANT**2:
+        return total, S, 1.0
+
+    def moved(edges: PositionEdges) -> PositionEdges:
+        if in_world:
+            return replace(edges, measured=edges.measured - np.append(total, 0.0)[: edges.dimension])
+        return replace(edges, levers=edges.levers + total)
+
+    for _ in range(FOLLOWED):
+        other = graph.with_changed(PositionEdges, moved)
+        state = end_of(levenberg_marquardt, other, state, max_iterations=STEPS)
+        step, S = _step(other, [f for f in other.families if isinstance(f, PositionEdges)], state, in_world)
+        if step @ S @ step < SMALL:
+            break
+        total = total + step
+    return total, S, max(1.0, misfit_of_edges(other, state, PositionEdges))
+
+
+def _step(graph: Graph, families: list[PositionEdges], state: Array, in_world: bool) -> tuple[Array, Array]:
+    """s (2,) and S (2, 2).
+
+    Raises:
+        FactorizationError: the edges do not determine the nodes.
+    """
+    system, _ = graph.linearize(state)
+    mixed, own, g = np.zeros((*state.shape, 2)), np.zeros((2, 2)), np.zeros(2)
+    for family in families:
+        linear = family.linearize(state, state)
+        (B,), (nodes,) = linear.jacobians, linear.nodes
+        W = linear.information * family.kernel_weights(state)[:, None, None]
+        J = turn_matrix(0.0 * nodes if in_world else state[nodes, 2])[:, : family.dimension, :2]
+        # a lever does not act on the heading
+        J[:, 2:] = 0.0
+        np.add.at(mixed, nodes, np.swapaxes(B, 1, 2) @ W @ J)
+        own += np.einsum("eji,ejk,ekl->il", J, W, J)
+        g -= np.einsum("eji,ejk,ek->i", J, W, linear.residuals)
+    mixed[graph.fixed] = 0.0
+    S = Bordered(system.own_factor(), mixed, own).schur
+    determined = np.linalg.eigvalsh(S)[0] > DETERMINED * np.trace(own)
+    return np.linalg.solve(S, g) if determined else np.zeros(2), S

@@ -33,7 +33,7 @@ from .certificate import Certificate, prove
 from .iteration import Run
 from .joint import motion_edges
 from .map_errors import in_wider_map, said_of_wider
-from .position_errors import with_lasting_errors
+from .position_errors import doubt_of_frame, doubt_of_positions, with_lasting_errors
 from .scan_errors import errors_of_scans
 from .uncertainty import Uncertainty, doubts, ids_of, shaped
 
@@ -458,7 +458,8 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
     graph = solution.graph or graph
     solution, lasting = with_lasting_errors(solution, again)
     graph = solution.graph or graph
-    of_positions = contradictions.doubt_of_positions(graph, solution.state, lasting=bool(lasting))
+    of_frame = doubt_of_frame(graph, solution.state)
+    of_positions = of_frame or doubt_of_positions(graph, solution.state, lasting=bool(lasting))
     common, of_scans = errors_of_scans(graph, solution.state)
     of_relations = contradictions.doubt_of_relations(graph, solution.state)
     notes += filter(None, (of_positions, of_relations, lasting, *of_odometry, of_scans))

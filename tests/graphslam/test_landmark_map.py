@@ -81,6 +81,20 @@ def test_a_file_that_has_lost_correlations_is_noted(tmp_path, ending):
         assert LandmarkMap.load(tmp_path / "again.npz").correlated == lost
 
 
+def test_parts_of_a_map_that_has_lost_correlations_have_lost_them_too():
+    known = LandmarkMap({1: (0, 0), 2: (1, 0)}, {1: np.eye(2), 2: np.eye(2)}, correlated=True)
+    assert known.among([1]).correlated and known.widened(0.1).correlated
+
+
+def test_a_map_without_a_landmark_that_was_taken_out_is_written(tmp_path):
+    """Its .npz file had the joint covariance of all landmarks, and could not be read."""
+    known = LandmarkMap({1: (0, 0), 2: (1, 0), 3: (2, 2)}, joint=np.diag(np.arange(1.0, 7)))
+    left = known.among([1, 3])
+    del known[2]
+    known.save(tmp_path / "map.npz")
+    same(LandmarkMap.load(tmp_path / "map.npz"), left)
+
+
 def test_the_joint_information_of_some_landmarks_is_the_schur_complement_of_the_others():
     rng = np.random.default_rng(3)
     joint = random_covariance(rng, 6)
@@ -138,6 +152,8 @@ def test_yaml_of_apriltag_bundles_and_of_tagslam_is_read(tmp_path):
         ("m.yaml", "tags:\n- {id: 1, x: 2, y: 3}\n- {id: 2, x: two, y: 3}\n", "m.yaml:3: tag 2 needs a number as x"),
         ("m.yaml", "tags:\n- {id: 1, x: 2, y: 3}\n- {id: 1, x: 2, y: 3}\n", "m.yaml:3: landmark 1 is in the map twice"),
         ("m.csv", "id,x,y,heading\n1,0,0,90\n", "m.csv: the heading of landmark 1 of the map is 90 rad, beyond 8 pi"),
+        ("m.yaml", f"tags:\n- {{id: 1, x: 1{400 * '0'}, y: 3}}\n", "m.yaml:2: tag 1 needs a number as x"),
+        ("m.yaml", "tags:\n- {id: '²', x: 2, y: 3}\n", "m.yaml:2: tag ² has the id '²'; ids are whole numbers"),
         ("m.yaml", "tags: [\n", "m.yaml:2: not YAML"),
         ("m.yaml", "tags: []\n", "there is no landmark in it"),
         ("m.json", "{\n,", "m.json:2: not JSON"),

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from graphslam import Graph, GraphError, LandmarkMap, Log, MotionModel, SensorModel, first_fix, simulate, solve
+from graphslam.log import UNIDENTIFIED
 from graphslam.maps.localization import _agreed, _cause
 from graphslam.maps.map_evidence import Weighed
 from graphslam.maps.registration import Points, register
@@ -250,6 +251,17 @@ def test_a_drift_is_that_of_its_motions_one_after_the_other():
         assert np.abs(wrap(poses[k + 1] - x)).max() < 1e-11
         # as correlations
         assert (np.abs(covariances[k + 1] - P) / np.sqrt(np.outer(np.diag(P), np.diag(P)))).max() < 1e-11
+
+
+def test_a_mirrored_map_with_one_likely_place_is_said():
+    """The only place that fits had "probability 1", and the advice was to take more sightings."""
+    quiet = {"motion": MotionModel(nn=0.05, no=0.001, on=0.05, oo=0.05)}
+    quiet["sensor"] = SensorModel(range_rate=0.03, bearing_std=0.02)
+    world = {"landmarks": np.random.default_rng(3).uniform(-7, 7, (24, 2)), "max_range": 8.0, "steps": 80}
+    log = simulate(seed=202, start=(-2.0, 1.0, 1.0), clean=True, orientation=False, **world, **quiet)
+    known = {j: place[:2] * (1, -1) for j, place in log.true_landmarks.items()}
+    with pytest.raises(GraphError, match="they would with the map mirrored"):
+        first_fix(log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED)), known, **quiet)
 
 
 @pytest.mark.slow

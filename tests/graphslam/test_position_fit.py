@@ -60,6 +60,27 @@ def test_a_lever_that_nobody_has_stated(seed, kernel):
     assert (ahead, left) == pytest.approx((0.8, -0.4), abs=0.15)
 
 
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (80.0, 60.0)])
+@pytest.mark.parametrize("seed", range(2))
+def test_positions_in_another_frame_than_the_map(seed, shift):
+    """The note was on the lever of an antenna, 68 m ahead, or on covariances alone."""
+    world = {"landmarks": np.random.default_rng(seed).uniform(-7, 7, (14, 2)), "max_range": 8.0, "steps": 60}
+    first, log = (
+        simulate(seed=seed + k, clean=True, orientation=False, **world, **ROBOT).replace(**ROBOT) for k in (0, 50)
+    )
+    steps = np.arange(0, log.num_poses, 2)
+    places = log.true_poses[steps, :2] + np.random.default_rng(seed).normal(shift, 0.3, (len(steps), 2))
+    positions = AbsolutePositions(steps=steps, places=places, covariances=0.09 * np.eye(2))
+    known = solve(Graph.from_log(first, edges="landmark+motion")).map
+    notes = solve(Graph.from_log(log.replace(positions=positions), map=known, kernel="cauchy")).notes
+    found = [note for note in notes if note.startswith("the positions")]
+    assert len(found) == (shift[0] > 0)
+    for note in found:
+        words = note.split()
+        assert (float(words[3]), float(words[8])) == pytest.approx(shift, abs=0.5)
+        assert translated(note, "ja") != note
+
+
 @pytest.mark.parametrize(("sigma", "said"), [(0.3, 0.06), (0.1, 0.5)])
 def test_covariances_that_are_wrong_by_five(sigma, said):
     (note,) = notes_on_positions(1, sigma=sigma, said=said, wrong=0.1)

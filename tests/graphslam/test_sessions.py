@@ -29,6 +29,7 @@ from graphslam import (
 from graphslam.association import score
 from graphslam.association.map_states import session_states
 from graphslam.log import UNIDENTIFIED
+from graphslam.log.geometry import datum_note, datum_of, on_plane_of
 from graphslam.log.measurements import PartialSightings
 from graphslam.metrics import ate
 from graphslam.se2 import between
@@ -123,6 +124,32 @@ def test_ranges_alone_put_no_log_where_it_belongs() -> None:
     joined = join_logs(parts, placed=True).log
     assert joined.partial_sightings is not None and log.partial_sightings is not None
     assert joined.partial_sightings.equals(log.partial_sightings)
+
+
+def test_ranges_alone_are_not_given_as_from_another_place_of_the_sensor() -> None:
+    """They stayed as they were, and J was 2.7 times what it should be."""
+    log = simulate_single_numbers("range", seed=5, poses=60).replace(motion=QUIET)
+    logs = [log.replace(sensor=replace(SENSOR, offset=(ahead, 0.0))) for ahead in (0.4, -0.4)]
+    with pytest.raises(LogError, match=r"ranges or bearings alone, .*: its own is 0\.4 m from the mean"):
+        with_common_noise(logs)
+
+
+def test_positions_of_joined_logs_have_one_datum() -> None:
+    """The first fix of each log was the origin of its own plane, and poses were off by as much as these are apart."""
+    data = np.array([[48.1234567, 11.7654321], [48.1301, 11.7711]])
+    logs = []
+    for part, datum in zip(cut(drive(), 2), data):
+        assert part.true_poses is not None
+        places = on_plane_of(datum, part.true_poses[::5, :2], data[0])
+        assert np.allclose(on_plane_of(data[0], places, datum), part.true_poses[::5, :2], atol=1e-3)
+        positions = AbsolutePositions(
+            steps=np.arange(0, part.num_poses, 5), places=places, covariances=0.01 * np.eye(2)
+        )
+        logs.append(part.replace(positions=positions, notes=(datum_note(datum, "gps.csv"),)))
+    joined = join_logs(logs).log
+    errors = solve(graph(joined)).poses - joined.true_poses
+    assert np.hypot(errors[:, 0], errors[:, 1]).max() < 0.3
+    assert np.array_equal(datum_of(joined.notes), data[0]) and sum("48.1301" in note for note in joined.notes) == 0
 
 
 def test_measurements_of_a_later_log_keep_their_poses() -> None:

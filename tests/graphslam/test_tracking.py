@@ -11,6 +11,7 @@ from graphslam import (
     Log,
     MotionModel,
     OnlineSolver,
+    OptionError,
     SensorModel,
     first_fix,
     simulate,
@@ -259,6 +260,8 @@ def test_a_start_that_is_given_is_used():
     log = elsewhere(10, (-4.0, 3.0, 0.0))
     solver = OnlineSolver(log.true_poses[0], map=TRUE, start_covariance=0.01 * np.eye(3), **MODELS)
     assert solver.located
+    with pytest.raises(OptionError, match="start_covariance needs start"):
+        OnlineSolver(map=TRUE, start_covariance=0.01 * np.eye(3), **MODELS)
     driven(log, solver)
     assert np.hypot(*(solver.poses - log.true_poses)[:, :2].T).max() < 0.5
 
