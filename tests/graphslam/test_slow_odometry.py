@@ -7,6 +7,7 @@ import pytest
 
 from comparisons.show.language import translated
 from graphslam import Drive, Log, estimate_robot
+from graphslam.calibration import Calibration
 from graphslam.identification.corrections import changes_within, honest_variances
 from graphslam.identification.odometry import ordinary
 from graphslam.sessions import join_logs
@@ -44,7 +45,11 @@ def test_many_scans_in_a_row_of_the_odometry_are_a_doubt() -> None:
 
     def doubt(odometry_rate: float, sensor_rate: float) -> str:
         rates = {"odometry_rate": odometry_rate, "sensor_rate": sensor_rate}
-        found = estimate_robot(Drive(seed=500, duration=60.0, **rates).simulate()[0])
+        log, _ = Drive(seed=500, duration=60.0, **rates).simulate()
+        found = estimate_robot(log)
+        # the numbers of a noise file do not contain how speeds change
+        variances = Calibration.of(found).apply(log).control_variances
+        np.testing.assert_equal(variances, found.log.control_variances)
         return next((each for each in found.doubts if "how speeds change within a row" in each), "")
 
     said = doubt(1.0, 10.0)
