@@ -212,13 +212,11 @@ class Comparison(Displayed):
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
         """What is probably wrong with the log, see `graphslam.log_checks`, with its noise, or with ids that were found."""
-        estimated = self.options.calibration
-        doubts = () if estimated is None else tuple(Finding("doubtful noise", each) for each in estimated.doubts)
         # the same ids serve several estimators
         verdicts = [each.found.verdict for each in self.results if each.found]
         unreliable = {str(verdict) for verdict in verdicts if not verdict.reliable}
         maps = tuple(Finding("unreliable ids", f"{self.log.name}: {verdict}") for verdict in sorted(unreliable))
-        return (*check_log(self.log), *doubts, *self._noise_findings(), *maps, *self._unused_options())
+        return (*check_log(self.log), *self._noise_findings(), *maps, *self._unused_options())
 
     def _unused_options(self) -> Iterator[Finding]:
         """Options that were given, and that none of the estimators uses."""

@@ -408,8 +408,9 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
     # the fields that both have under the same names
     shared = {f.name for f in fields(EstimatorResult)} & {f.name for f in fields(Solution)}
     values = {field: getattr(solution, field) for field in shared}
-    # the notes of a log are shown once, and J per degree of freedom has a line of its own
-    notes = [note for note in solution.notes if note not in log.notes and BEYOND_NOISE not in note]
+    # the notes and doubts of a log are shown once, and J per degree of freedom has a line of its own
+    said = {*log.notes, *(text for _, text in log.doubts)}
+    notes = [note for note in solution.notes if note not in said and BEYOND_NOISE not in note]
     with noted(notes, "the covariances of the map are not known"):
         values["landmark_covariances"] = solution.landmark_covariances
     values["options"] = {name: getattr(options, name) for name in _GRAPH}

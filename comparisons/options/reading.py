@@ -23,7 +23,7 @@ from graphslam.association.map_states import map_states, session_states
 from graphslam.calibration import Calibration
 from graphslam.errors import quoted
 from graphslam.files import check_file, path_of
-from graphslam.identification.corrections import without_biases
+from graphslam.identification.corrections import honest_variances, without_biases
 from graphslam.identification.declared import CORRECTIONS, of_sensor_alone
 from graphslam.identification.known import enough_ids, unknown_noise
 from graphslam.identification.result import ESTIMATE
@@ -109,7 +109,11 @@ def prepare(
     motion, sensor = replace(options, numbers=numbers).models(data.motion, data.sensor)
     data = without_biases(data, motion=motion, sensor=sensor, **values)
     of_file = options.noise not in (None, AUTO, BOOK)
-    if check_ids := (of_file if options.check_ids is None else options.check_ids) and not estimated:
+    check_ids = (of_file if options.check_ids is None else options.check_ids) and not estimated
+    if (of_file or check_ids) and data.controls is not None:
+        # a robot that is known has the noise of its estimate and, where rows are rare, how its speeds change within them
+        data = data.replace(control_variances=honest_variances(data))
+    if check_ids:
         data = _with_checked_ids(data, motion, sensor)
     if of_file and data.controls is not None:
         data = _compared_with_estimate(data, motion, sensor)
@@ -240,6 +244,13 @@ def _compared_with_estimate(log: Log, motion: MotionModel, sensor: SensorModel) 
     shown = []
     if left := [name for name, value in away if abs(value - p.priors[name][0]) > DIFFERENT * p.deviations[name]]:
         shown.append(f"{p.sentence_of(left)} after its corrections")
+    kinds = {
+        "scales of the odometry that differ between two directions": found.uneven,
+        "bearings that are off by a part of their size": found.lens,
+        "ranges that are off for single landmarks": found.ranges,
+        "a sensor that was turned during the drive": found.turns,
+    }
+    shown += [kind for kind, errors in kinds.items() if errors]
     # standard deviations of the usual motion, (x, y, heading), and which of them differ
     found_by, of_file = (np.diagonal(log.motions(each)[1], axis1=1, axis2=2) for each in (found.motion, motion))
     ratios = np.sqrt(np.median(found_by / of_file, axis=0))

@@ -19,7 +19,16 @@ import numpy as np
 from ..errors import GraphError, LogError, OptionError, quoted
 from ..errors.checks import array_of, check_choice, check_known, check_type, singular
 from ..identification.declared import ParameterEstimate, parsed
-from ..identification.known import AUTO, BOOK, enough_ids, known_robot, not_used, unknown_noise, with_book
+from ..identification.known import (
+    AUTO,
+    BOOK,
+    enough_ids,
+    known_robot,
+    not_used,
+    unknown_noise,
+    with_book,
+    with_findings,
+)
 from ..identification.result import RobotEstimate
 from ..linear.precision import check_magnitudes
 from ..log import UNIDENTIFIED, Log, check_is_log
@@ -426,8 +435,7 @@ def known_noise(
         if noise == AUTO:
             raise
         return with_book(log, error), None
-    known = found.corrected(log)
-    return known.replace(notes=(*known.notes, *found.sentences, *not_used(log), *notes)), found
+    return with_findings(found.corrected(log), found, *not_used(log), *notes), found
 
 
 def robot_of(log: Log, motion: MotionModel, sensor: SensorModel) -> tuple[RobotEstimate, tuple[str, ...]]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..association.associate import robot_of
 from ..errors import LogError, OptionError, checks
-from ..identification.corrections import without_biases
+from ..identification.corrections import honest_variances, without_biases
 from ..identification.declared import CORRECTIONS, PLACE, of_sensor_alone
 from ..identification.odometry import OF_SENSOR, with_variances
 from ..identification.result import RobotEstimate
@@ -185,6 +185,8 @@ class Calibration:
         """
         values = of_sensor_alone(self.corrections) if log.controls is None else self.corrections
         corrected = without_biases(log, motion=self.motion, sensor=self.sensor, **values)
+        if log.controls is not None:
+            corrected = corrected.replace(control_variances=honest_variances(corrected))
         return corrected.replace(motion=self.motion or log.motion, sensor=self.sensor)
 
 

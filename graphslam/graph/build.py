@@ -79,7 +79,7 @@ def noise_in_map(
         log = robot.corrected(log.replace(landmarks=ids)).replace(landmarks=log.landmarks)
     # ids that do not fit are no longer those of the log
     notes = tuple(note for note in named.notes if robot is None or note != robot.ids.sentence)
-    return log.replace(notes=notes), motion, sensor, robot
+    return log.replace(notes=notes, doubts=named.doubts), motion, sensor, robot
 
 
 def _scaled(model: Any, part: float) -> Any:

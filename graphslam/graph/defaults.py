@@ -16,7 +16,7 @@ from ..edges.robust import Kernel
 from ..errors import GraphError
 from ..linear.precision import inverses
 from ..log import Log
-from ..log.cells import COVERED, DOUBLED, MOVED_BETWEEN, REPEATED, SHARED, SIDEWAYS
+from ..log.cells import COVERED, DOUBLED, DOUBTFUL_NOISE, MOVED_BETWEEN, REPEATED, SHARED, SIDEWAYS
 from ..log.measurements import AbsolutePositions
 from ..models import EdgeOptions, MotionModel, SensorModel
 from ..se2 import Array, transform
@@ -85,8 +85,8 @@ def notes_on_options(log: Log, sensor: SensorModel, options: EdgeOptions, missin
 
     ``missing`` are the biases taken out of the log whose uncertainty the graph leaves out.
     """
-    # those doubts about the log that change its solution without any other sign
-    said = (DOUBLED, SIDEWAYS, SHARED, COVERED, REPEATED, MOVED_BETWEEN)
+    # those doubts that change the solution without any other sign
+    said = (DOUBTFUL_NOISE, DOUBLED, SIDEWAYS, SHARED, COVERED, REPEATED, MOVED_BETWEEN)
     notes = [text for check, text in log.doubts if check in said]
     if missing:
         left_out = f"what is unknown of the biases taken out of the log: {', '.join(missing)}"

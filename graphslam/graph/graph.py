@@ -180,7 +180,7 @@ class Graph:
         notes = [note for note in log.notes if note not in recorded.notes]
         if robot is not None:
             # noise and biases that were found for numbers read in the wrong way are wrong, too
-            notes = [*(each.message for each in mistakes_of(recorded)), *notes, *robot.doubts]
+            notes = [*(each.message for each in mistakes_of(recorded)), *notes]
         if known_map is None:
             notes += [each.message for each in single_pose(log)]
             log = in_frame_of_positions(log)

@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import GraphError, LogError, OptionError
 from ..errors.checks import check_choice
 from ..log import UNIDENTIFIED, Log
+from ..log.cells import DOUBTFUL_NOISE
 from ..models import MotionModel, SensorModel
 from .result import RobotEstimate
 from .robot import FEWEST
@@ -60,7 +61,13 @@ def known_robot(
         if noise == AUTO:
             raise
         return with_book(log, error), None
-    return found.log.replace(notes=(*found.log.notes, *found.sentences, *not_used(log))), found
+    return with_findings(found.log, found, *not_used(log)), found
+
+
+def with_findings(log: Log, found: RobotEstimate, *notes: str) -> Log:
+    """The log with what the estimate says as notes, with further ones, and with its doubts."""
+    doubts = tuple((DOUBTFUL_NOISE, each) for each in found.doubts)
+    return log.replace(notes=(*log.notes, *found.sentences, *notes), doubts=(*log.doubts, *doubts))
 
 
 def noise_of(

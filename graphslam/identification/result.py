@@ -29,7 +29,7 @@ from .declared import KINDS, PLACE, ParameterEstimate
 from .odometry import NOISE, sighting_times
 from .sensor_errors import Lens, Turn, turned_back, undistorted
 from .sighting_errors import LAGS, Ids, Predictions, RangeErrors, common_errors, evened
-from .slips import Slip, Uneven, levelled
+from .slips import Slip, Uneven, levelled, with_slip
 from .unknowns import DEGREES_SIGHTINGS, HELD, OF_GAUSSIAN_MOTIONS, PRIORS, Unknowns
 
 #: the duration of a part that is left out [s], every which part is left out at once, and the steps to the new solution,
@@ -206,10 +206,18 @@ class RobotEstimate:
         return f"<RobotEstimate: {'; '.join(self.sentences)}>"
 
     def corrected(self, log: Log) -> Log:
-        """A log of the robot without the biases that were found, with these noise models; repaired motions as recorded."""
+        """A log of the robot without the biases that were found, with these noise models; repaired motions as recorded.
+
+        Slips and turns of the sensor belong to the drive: to its times.
+        """
+        same = log.times is not None and np.array_equal(log.times, self.log.times)
         biases = {n: value for n, value in zip(self.parameters.names, self.parameters.values) if n not in PLACE}
-        log = turned_back(undistorted(evened(levelled(log, self.uneven), self.ranges), self.lens), self.turns)
+        log = turned_back(
+            undistorted(evened(levelled(log, self.uneven), self.ranges), self.lens), self.turns if same else ()
+        )
         log = without_biases(log, motion=self.motion, sensor=self.sensor, **biases)
+        for slip in self.slips if same else ():
+            log = with_slip(log, slip)
         variances = honest_variances(log)
         return log.replace(
             motion=self.motion, sensor=self.sensor, uncertain=self.log.uncertain, control_variances=variances

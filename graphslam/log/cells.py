@@ -385,6 +385,8 @@ _SHARE = 0.01
 REPEATED, COVERED = "odometry repeats", "covered"
 #: the check that finds landmarks that have moved between logs that were joined
 MOVED_BETWEEN = "moved between logs"
+#: what the estimate of noise and biases doubts (`RobotEstimate.doubts`)
+DOUBTFUL_NOISE = "doubtful noise"
 
 
 def repeated_times(

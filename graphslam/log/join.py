@@ -18,7 +18,7 @@ from ..errors import LogError, OptionError, quoted
 from ..errors.checks import FOUR_TURNS, WHOLE_TURN, check_known, check_type, checked_offset, first
 from ..models import ANYWHERE, SensorModel, additional_variances
 from ..se2 import Array, wrap
-from .cells import COVERED, Doubt, ids_of, seconds, time_faults
+from .cells import COVERED, DOUBTFUL_NOISE, Doubt, ids_of, seconds, time_faults
 from .drive import TURNED, Reader, Timed, odometry_of, sightings_of, truth_of
 from .geometry import datum_note, local_plane
 from .log import Log
@@ -412,6 +412,7 @@ def end_to_end(first: Log, second: Log) -> Log:
     recorded = [each.dt if each.recorded_dt is None else each.recorded_dt for each in (a, b)]
     # where one of them has true poses and no path, there is none of both
     has_path = all(each.true_path is not None for each in (a, b) if each.true_poses is not None)
+    doubts = dict.fromkeys(doubt for each in (a, b) for doubt in _doubts_of(each))
     return a.replace(
         dt=np.concatenate([a.dt, [APART], b.dt]), controls=np.concatenate([a.controls, np.zeros((1, 2)), b.controls]),
         control_starts=np.concatenate([a.control_starts, pieces + b.control_starts]),
@@ -425,7 +426,7 @@ def end_to_end(first: Log, second: Log) -> Log:
         **{name: joined_rows(getattr(a, name), moved.get(name)) for name in MEASURED},
         notes=(*_of_each(a, a.notes), *_of_each(b, b.notes)),
         # a unit counts as stated that is stated for both
-        doubts=tuple(each for each in (*a.doubts, *b.doubts) if each[1] or (each in a.doubts and each in b.doubts)),
+        doubts=tuple(each for each in doubts if each[1] or all(each in one.doubts for one in (a, b))),
         sessions=(*_sessions(a), *(replace(each, start=poses + each.start) for each in _sessions(b))),
         name=f"{a.sessions[0].name} and {len(a.sessions)} more" if a.sessions else f"{a.name} and {b.name}",
     )  # fmt: skip
@@ -455,6 +456,12 @@ def _sessions(log: Log) -> tuple[Session, ...]:
 def _of_each(log: Log, remarks: Iterable[str]) -> Iterator[str]:
     """Remarks about a log, with its name; those about logs that were joined have it already."""
     yield from remarks if log.sessions else (f"{log.name}: {remark}" for remark in remarks)
+
+
+def _doubts_of(log: Log) -> Iterator[Doubt]:
+    """The doubts of a log; those about its noise name steps, and so get its name, see `_of_each`."""
+    for check, text in log.doubts:
+        yield check, next(_of_each(log, [text])) if check == DOUBTFUL_NOISE else text
 
 
 def map_of(table: Table, options: TableOptions, names: Mapping[str, int] | None = None) -> dict[int, Array]:

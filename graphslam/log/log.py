@@ -65,8 +65,8 @@ class Log:
             known of the way from the end of one to the start of the next.
         name: the name of the log in messages and tables.
         notes: remarks of the reader about the data, one sentence each.
-        doubts: probable mistakes that the reader found, (name of the check, sentence) each; `check_log` returns them. A check
-            without a sentence is answered, as that of a unit that was stated.
+        doubts: probable mistakes that the reader or the estimate of noise found, (name of the check, sentence) each;
+            `check_log` returns them. A check without a sentence is answered, as that of a unit that was stated.
 
     Raises:
         LogError: an argument has the wrong shape, is not finite, or is impossible (a range not above zero, ...).

@@ -18,6 +18,7 @@ from itertools import chain
 import numpy as np
 
 from ..log import Log
+from ..log.cells import DOUBTFUL_NOISE
 from .given import against_map, against_truth
 from .ids import Finding, changed_ids, distances_of, ids_of, misread, misread_ids
 from .readings import orientations_of, readings_of, single_pose, sizes
@@ -31,10 +32,9 @@ def check_log(log: Log) -> tuple[Finding, ...]:
     Args:
         log: with or without controls and truth.
     """
-    found: dict[str, Finding] = {}
-    doubts: Iterable[Finding] = (Finding(check, message) for check, message in log.doubts if message)
+    doubts = [Finding(check, message) for check, message in log.doubts if message]
     readings, truth = tuple(readings_of(log)), tuple(against_truth(log))
-    checks: list[Iterable[Finding]] = [doubts, sizes(log), readings, truth]
+    checks: list[Iterable[Finding]] = [sizes(log), readings, truth]
     if not readings:
         checks.append(orientations_of(log))
     # where another reading fits better, ids and map may be right, and the sightings wrong
@@ -46,9 +46,14 @@ def check_log(log: Log) -> tuple[Finding, ...]:
         distances, trusted = distances_of(right), not truth
         checks.append(changed_ids(log, distances, trusted=trusted, wrong=wrong))
         checks.append(against_map(right, distances, trusted=trusted))
+    found: dict[str, Finding] = {}
     for finding in chain.from_iterable(checks):
         found.setdefault(finding.check, finding)
-    return tuple(found.values())
+    said = {each.check for each in doubts}
+    # those about the noise last: numbers that are read in the wrong way make it wrong
+    of_noise = [each for each in doubts if each.check == DOUBTFUL_NOISE]
+    others = (each for each in found.values() if each.check not in said)
+    return (*(each for each in doubts if each not in of_noise), *others, *of_noise)
 
 
 def mistakes_of(log: Log) -> tuple[Finding, ...]:

@@ -11,6 +11,8 @@ from comparisons.show.language import translated
 from graphslam import Drive, Graph, estimate_robot, simulate, solve
 from graphslam.identification import sensor_errors
 from graphslam.identification.sensor_errors import Lens, Turn, turned_back, undistorted
+from graphslam.log.cells import DOUBTFUL_NOISE
+from graphslam.log_checks import check_log
 from graphslam.metrics import ate
 from graphslam.se2 import wrap
 
@@ -36,6 +38,11 @@ def test_a_turned_sensor_is_found_and_corrected(seed, monkeypatch):
     assert abs(turn.time - TIME) < 5
     (doubt,) = (each for each in robot.doubts if "the sensor was turned" in each)
     assert "センサの向きが変わった" in translated(doubt, "ja")
+    # another drive of the robot began with the sensor in one of the two directions
+    other = log.replace(start_time=log.start_time + 1e4)
+    later = log.times[log.steps] - log.times[0] > turn.time
+    differ = robot.corrected(other).sightings[:, 1] - robot.corrected(log).sightings[:, 1]
+    np.testing.assert_allclose(wrap(differ), np.where(later, turn.angle, 0.0), atol=0.02)
     solution = solve(Graph.from_log(robot.log))
     assert np.nanmean(solution.nees(log.true_poses)) < 3
     unturned = estimate_robot(right)
@@ -46,6 +53,15 @@ def test_a_turned_sensor_is_found_and_corrected(seed, monkeypatch):
     monkeypatch.setattr("graphslam.identification.robot.turn_of", lambda *_: None)
     wrong = solve(Graph.from_log(estimate_robot(log).log))
     assert np.nanmean(wrong.nees(log.true_poses)) > 2 * np.nanmean(solution.nees(log.true_poses))
+
+
+def test_the_doubts_of_drives_that_are_joined_are_those_of_each():
+    """They were left out, although the bearings are corrected."""
+    log, _ = turned(1002)
+    graph = Graph.from_logs([log.replace(name="first"), log.replace(name="second")])
+    said = [note for note in graph.notes if "the sensor was turned" in note]
+    assert [note.partition(": from step ")[0] for note in said] == ["first", "second"]
+    assert [each.message for each in check_log(graph.log) if each.check == DOUBTFUL_NOISE] == said
 
 
 @pytest.mark.parametrize(("seed", "duration", "bias"), [(797933, 60.0, 0.223), (847624, 120.0, 0.196)])

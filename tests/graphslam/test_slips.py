@@ -138,6 +138,9 @@ def test_an_unknown_robot_that_slips_is_corrected(seed, column, factor):
     assert robot.slips and all(slip.column == column for slip in robot.slips)
     assert robot.slips[0].begin < 46 < robot.slips[0].end
     assert any(doubt.startswith("between steps") for doubt in robot.doubts)
+    # the drive as it was recorded, whose ids may be unknown; and another drive of the robot, which did not slip then
+    np.testing.assert_allclose(robot.corrected(log).control_variances, robot.log.control_variances)
+    assert robot.corrected(log.replace(start_time=log.start_time + 1e4)).control_variances is None
     solution = solve(Graph.from_log(robot.log))
     assert ate(log.true_poses, solution.poses) < 2 * solution.expected_ate
     right = estimate_robot(drive(seed)[0])
