@@ -208,13 +208,14 @@ class Factor:
             IndexError: no such node.
         """
         self._check()
-        n = self._num_nodes
-        if not (0 <= i < n and 0 <= j < n):
-            raise IndexError(f"nodes {i} and {j}: the graph has {n}")
         return self._blocks(np.array([i]), np.array([j]))[0]
 
     def _blocks(self, rows: NDArray[Any], columns: NDArray[Any]) -> NDArray[np.float64]:
         """Blocks (E, 3, 3) of Omega^-1 in rows and columns (E,): read where the pattern of L has them, else by solves."""
+        wrong = np.concatenate([rows, columns])
+        wrong = wrong[(wrong < 0) | (wrong >= self._num_nodes)]
+        if len(wrong):
+            raise IndexError(f"there is no node {wrong[0]}: the graph has {self._num_nodes} nodes, numbered from 0")
         blocks = np.full((len(rows), 3, 3), np.nan) if self._inverse is None else self._inverse.pairs(rows, columns)
         missing = np.flatnonzero(np.isnan(blocks[:, 0, 0]))
         if len(missing):

@@ -29,6 +29,8 @@ CORRELATIONS_LOST = (
 HELD_STD = 1e-5
 #: the largest asymmetry and negative eigenvalue of a covariance that count as rounding, over its size
 ROUNDED = 1e-9
+#: the least root of a pivot of a correlation matrix whose inverse is not lost in rounding
+LEAST_PIVOT = 1e-7
 
 
 class LandmarkMap(dict[int, Array]):
@@ -319,7 +321,11 @@ def _inverse(name: str, matrix: Array) -> Array:
     try:
         if not (deviations > 0).all():
             raise np.linalg.LinAlgError
-        root = np.linalg.inv(np.linalg.cholesky(matrix / np.outer(deviations, deviations))) / deviations
+        lower = np.linalg.cholesky(matrix / np.outer(deviations, deviations))
+        # rounding would make the inverse indefinite
+        if (np.diagonal(lower) < LEAST_PIVOT).any():
+            raise np.linalg.LinAlgError
+        root = np.linalg.inv(lower) / deviations
     except np.linalg.LinAlgError:
         advice = "leave covariances out (map_use='fixed') if landmarks are exact"
         raise OptionError(f"{name} is singular, so that it has no inverse; {advice}") from None

@@ -359,6 +359,9 @@ def test_clear_errors():
         factor.solve(np.full((5, 3), np.inf))
     with pytest.raises(IndexError):
         factor.covariance(0, 5)
+    for node in (-1, 5, 2**33):
+        with pytest.raises(IndexError, match=f"no node {node}: the graph has 5"):
+            factor.joint_covariance(np.array([2, node]))
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
