@@ -63,6 +63,8 @@ from ..solvers.solve import solve
 UNLIKE = 2.0
 #: a variance that is as good as zero
 TINY = 1e-300
+#: the distance [m] between the places of two sensors from which on it is said
+APART = 0.01
 #: the same where the noise contains an unknown factor for correlated errors, which differs between drives of one sensor
 UNLIKE_WITH_CORRELATIONS = 4.0
 #: a landmark has surely moved from this square of its shift on, and where both logs saw it so often
@@ -181,7 +183,8 @@ def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = 
 
     Variances are the means of those of the logs, of which the ones that bring no models count with the book's; so are those
     of the biases that were taken out of them (`Log.uncertain`), zero where there are none. Where the sensors sit in
-    different places, sightings are given as from the mean of these.
+    different places, sightings are given as from the mean of these. Ranges or bearings alone cannot be: the mean is then that
+    of the logs that have any, and a note says where it is still off.
 
     Args:
         logs: of one place.
@@ -200,7 +203,8 @@ def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = 
 
     epsilon = float(np.mean([each.epsilon for each in motions]))
     motion = MotionModel(**squares([*map(vars, motions)]), epsilon=epsilon)
-    ahead, left = np.mean([each.offset for each in sensors], axis=0).tolist()
+    alone = [own.offset for log, own in zip(logs, sensors) if log.partial_sightings is not None]
+    ahead, left = np.mean(alone or [each.offset for each in sensors], axis=0).tolist()
     least, most, views = zip(*(each.limits for each in sensors))
     sensor = SensorModel(**squares([*map(vars, sensors)]), offset=(ahead, left))
     sensor = sensor.with_limits(min(least), max(most), max(views))
@@ -222,6 +226,12 @@ def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = 
         )
         models = {"motion": motion, "sensor": sensor, "uncertain": uncertain or None}
         notes = (*log.notes, mean + unlike * bool(times[worst] > limit))
+        off = float(np.hypot(own.offset[0] - ahead, own.offset[1] - left))
+        if log.partial_sightings is not None and off > APART:
+            notes += (
+                f"its ranges or bearings alone count as from a sensor {off:.2g} m from its own: one graph has one place of "
+                "the sensor, and a single number cannot be carried to it. Join only logs whose sensors sit in the same place",
+            )
         common.append(log.replace(**models, sightings=seen, notes=notes))
     return common
 
