@@ -258,7 +258,8 @@ def _scores(graph: Graph, state: Array, directions: Array) -> tuple[Array, Array
     g -= np.einsum("nik,ni->k", reach, xi)
     if graph.held is not None:
         joint = JointGraph(replace(graph, parameters=graph.held))
-        border = joint.border(joint.graph, state, state)
+        # directions may move nodes that are held
+        border = joint.border(replace(joint.graph, fixed=graph.fixed[:0]), state, state)
         crossed = np.einsum("nip,nik->pk", border.mixed, directions)
         border.mixed[graph.fixed] = 0.0
         beside = JointFactor(joint, factor, border)
