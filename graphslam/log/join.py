@@ -410,6 +410,11 @@ def end_to_end(first: Log, second: Log) -> Log:
             return None
         return np.concatenate([np.full((n, 3), np.nan) if each is None else each for each, n in zip(rows, sizes)])
 
+    classes = [np.full(len(each.steps), UNIDENTIFIED) if each.classes is None else each.classes for each in (a, b)]
+    if any(each.dtype.kind == "U" for each in classes):
+        classes = [
+            np.where(each == UNIDENTIFIED, "", each.astype(str)) if each.dtype.kind == "i" else each for each in classes
+        ]
     moved = {name: each.moved(lambda steps: steps + poses) for name, each in b.measured.items()}
     recorded = [each.dt if each.recorded_dt is None else each.recorded_dt for each in (a, b)]
     # where one of them has true poses and no path, there is none of both
@@ -420,7 +425,8 @@ def end_to_end(first: Log, second: Log) -> Log:
         control_variances=np.concatenate([of_first, [np.array(ANYWHERE) / APART**2], of_second]),
         recorded_dt=np.concatenate([recorded[0], [APART], recorded[1]]),
         steps=np.concatenate([a.steps, poses + b.steps]), landmarks=both("landmarks"), sightings=both("sightings"),
-        classes=both("classes"), initial_poses=both("initial_poses"),
+        classes=None if a.classes is None and b.classes is None else np.concatenate(classes),
+        initial_poses=both("initial_poses"),
         true_poses=with_unknown("true_poses", (poses, b.num_poses)),
         true_path=with_unknown("true_path", (pieces, len(b.controls) + 1)) if has_path else None,
         true_landmarks={**(b.true_landmarks or {}), **(a.true_landmarks or {})} or None,
