@@ -132,13 +132,21 @@ def _filled(translation: str, values: list[str]) -> str:
     return re.sub(r"\{(\d*)\}", lambda m: values[int(m[1])] if m[1] else next(following), translation)
 
 
+#: the heading of columns of names that stay as they are: one of the noise models is called "no"
+VERBATIM_COLUMN = "parameter"
+
+
 def translated_table(table: Table, language: str) -> Table:
     """The table with its title, headings and cells in a language; it is changed in place."""
     if language not in CATALOGUES:
         return table
     table.title = None if table.title is None else _cell(table.title, language)
     table.columns = [
-        replace(column, header=_cell(column.header, language), _cells=[_cell(cell, language) for cell in column.cells])
+        replace(
+            column,
+            header=_cell(column.header, language),
+            _cells=[cell if str(column.header) == VERBATIM_COLUMN else _cell(cell, language) for cell in column.cells],
+        )
         for column in table.columns
     ]
     return table

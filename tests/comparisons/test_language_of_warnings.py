@@ -4,7 +4,10 @@ import re
 
 import pytest
 
-from comparisons.show.language import translated
+from comparisons.show.language import translated, translated_table
+from comparisons.show.log_tables import calibration_tables
+from graphslam import MotionModel, SensorModel
+from graphslam.calibration import Calibration
 
 
 @pytest.mark.parametrize(
@@ -59,3 +62,10 @@ def test_warnings_of_a_log(message: str) -> None:
     assert (
         shown.startswith("警告: ") and shown.endswith("。") and not re.search(r"[a-z]{2,} [a-z]{2,} [a-z]{2,}", shown)
     )
+
+
+def test_names_of_parameters_stay_as_they_are() -> None:
+    """One of them is called "no"."""
+    (table,), _ = calibration_tables(Calibration(motion=MotionModel(), sensor=SensorModel()))
+    cells = list(translated_table(table, "ja").columns[0].cells)
+    assert cells[:4] == ["nn", "no", "on", "oo"]
