@@ -117,13 +117,15 @@ def _translated(text: str, language: str) -> tuple[str, int]:
     return best
 
 
-#: three words that are no command, path or name
+#: three words that are no command, path or name, and a list of names, such as those of estimators
+_NAMES = re.compile(r"[\w-]+(, [\w-]+)+")
 _PROSE = re.compile(r"(?<![\w./-])[A-Za-z][a-z]+,? [a-z]{2,},? [a-z]{2,}(?![\w./-])")
 
 
 def _is_english(translation: tuple[str, int]) -> bool:
     """Whether a text of which nothing was translated is English prose."""
-    return translation[1] == 0 and _PROSE.search(translation[0]) is not None
+    text, covered = translation
+    return covered == 0 and _PROSE.search(text) is not None and _NAMES.fullmatch(text) is None
 
 
 def _filled(translation: str, values: list[str]) -> str:
