@@ -347,7 +347,7 @@ def _sure(log: Stretch, landmarks: LandmarkMap, fixes: list[Fix]) -> Fix:
         raise GraphError(f"{which}: no place surely has a constellation of landmarks like theirs; {cause}")
     places = "; ".join(
         f"({fix.pose[0]:.2f}, {fix.pose[1]:.2f}) m, {np.degrees(fix.pose[2]):.0f} degrees with probability "
-        f"{fix.odds / (1 + fix.odds):.2g}"
+        f"{fix.odds / (1 + fix.odds):.3g}"
         for fix in likely
     )
     which = f"{log.name} has sightings without ids, and they do not say surely where in the map it begins"
