@@ -327,7 +327,8 @@ class ParticleGibbs:
         if log.num_poses < 2:
             raise LogError(f"{log.name} has no motion to smooth")
         if len(log.steps) == 0:
-            raise OptionError(f"{log.name} has no sightings: particle Gibbs would only repeat its noise model")
+            missing = f"{log.name} has no sightings of range and bearing"
+            raise OptionError(f"{missing}: particle Gibbs would only repeat its noise model")
         self.log = log
         self.motion, self.sensor = self._filters[0].motion, self._filters[0].sensor
         self._problem = Problem.of(log, self.motion, self.sensor)

@@ -92,11 +92,12 @@ class Samples:
         marks = np.array(list(self.landmarks.values()))
         parts = (self.trajectories, self.poses, steps), (self.maps, marks, [rows[j] for j in ids])
         together = np.hstack([
-            difference(samples[:, :, chosen], means[chosen]).reshape(-1, len(chosen) * means.shape[1])
-            for samples, means, chosen in parts if chosen
+            np.zeros((len(self.trajectories) * self.trajectories.shape[1], 0)),
+            *(difference(samples[:, :, chosen], means[chosen]).reshape(-1, len(chosen) * means.shape[1])
+              for samples, means, chosen in parts if chosen),
         ])  # fmt: skip
         matrix = together.T @ together / len(together)
-        return matrix if joint else split(matrix, poses, landmarks)
+        return matrix if joint else split(matrix, poses, landmarks, self.maps.shape[-1])
 
     @cached_property
     def landmarks(self) -> dict[int, Array]:
@@ -190,14 +191,16 @@ class ParticleState:
         times = len(ids_of("poses", poses))
         if not joint:
             own = weighted_covariance(self.poses, self.mean_pose, weights)
-            return shaped(poses, landmarks, [own] * times, [mixture[id].covariance for id in ids])
+            blocks = [mixture[id].covariance for id in ids]
+            return shaped(poses, landmarks, [own] * times, blocks, self._filter._coordinates or 2)
         from scipy.linalg import block_diag
 
         gaussians = [self._current_filter()._gaussians_of(id) for id in ids]
         among = weights * np.all([owned for _, _, owned in gaussians], axis=0) if ids else weights
         among /= among.sum()
         samples = [self.poses] * times + [means for means, _, _ in gaussians]
-        away = np.hstack([difference(points, weighted_mean(points, among)) for points in samples])
+        none = np.zeros((len(self.poses), 0))
+        away = np.hstack([none, *(difference(points, weighted_mean(points, among)) for points in samples)])
         within = [np.zeros((3, 3))] * times + [np.tensordot(among, inside, 1) for _, inside, _ in gaussians]
         return away.T @ (among[:, None] * away) + block_diag(*within)
 

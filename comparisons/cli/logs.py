@@ -188,6 +188,7 @@ def import_(
     found = import_log(source, **options.keywords())
     output.show(found)
     if found.log is None:
+        output.json(found.to_json())
         raise LogError(found.reason)
     if out is None:
         target = Path(f"{found.log.name}.npz")

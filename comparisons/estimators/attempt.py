@@ -256,6 +256,8 @@ def _checked(name: str, result: object, log: Log) -> EstimatorResult:
         for id, value in values.items():
             if np.shape(value) not in shapes:
                 raise wrong(f"{what}[{id!r}]", f"an array {shapes[0]} or {shapes[1]}", value)
+            if what == "landmarks" and not np.isfinite(value).all():
+                raise wrong(f"landmarks[{id!r}]", "finite numbers, or no landmark where its place is not known", value)
     return result if result.name == name else replace(result, name=name)
 
 

@@ -44,7 +44,7 @@ def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
         return log, None
     key = (
         options.motion, options.sensor, options.front_end, options.front_particles,
-        str(replace(options.filter, particles=1)), options.estimate, "slip" in options.numbers,
+        str(replace(options.filter, particles=1)), options.estimate,
     )  # fmt: skip
     known = _FOUND.setdefault(log, {})
     if key not in known:
@@ -52,8 +52,7 @@ def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
             known[key] = associate(
                 log, motion=options.motion, sensor=options.sensor, filters=options.filter, estimate=options.estimate,
                 front_end=options.front_end, front_particles=options.front_particles, keep_ids=options.filter.uses_ids,
-                # a slip that the options name stays
-                confusion=options.filter.class_confusion, slip="slip" not in options.numbers,
+                confusion=options.filter.class_confusion,
             )  # fmt: skip
         except SlamError as error:
             known[key] = error

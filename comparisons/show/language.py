@@ -117,13 +117,15 @@ def _translated(text: str, language: str) -> tuple[str, int]:
     return best
 
 
-#: three words that are no command, path or name
+#: three words that are no command, path or name, and a list of names, such as those of estimators
+_NAMES = re.compile(r"[\w-]+(, [\w-]+)+")
 _PROSE = re.compile(r"(?<![\w./-])[A-Za-z][a-z]+,? [a-z]{2,},? [a-z]{2,}(?![\w./-])")
 
 
 def _is_english(translation: tuple[str, int]) -> bool:
     """Whether a text of which nothing was translated is English prose."""
-    return translation[1] == 0 and _PROSE.search(translation[0]) is not None
+    text, covered = translation
+    return covered == 0 and _PROSE.search(text) is not None and _NAMES.fullmatch(text) is None
 
 
 def _filled(translation: str, values: list[str]) -> str:
@@ -132,13 +134,21 @@ def _filled(translation: str, values: list[str]) -> str:
     return re.sub(r"\{(\d*)\}", lambda m: values[int(m[1])] if m[1] else next(following), translation)
 
 
+#: the heading of columns of names that stay as they are: one of the noise models is called "no"
+VERBATIM_COLUMN = "parameter"
+
+
 def translated_table(table: Table, language: str) -> Table:
     """The table with its title, headings and cells in a language; it is changed in place."""
     if language not in CATALOGUES:
         return table
     table.title = None if table.title is None else _cell(table.title, language)
     table.columns = [
-        replace(column, header=_cell(column.header, language), _cells=[_cell(cell, language) for cell in column.cells])
+        replace(
+            column,
+            header=_cell(column.header, language),
+            _cells=[cell if str(column.header) == VERBATIM_COLUMN else _cell(cell, language) for cell in column.cells],
+        )
         for column in table.columns
     ]
     return table

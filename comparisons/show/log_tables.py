@@ -239,7 +239,7 @@ def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
     """The numbers of the noise models with their standard errors or upper bounds, a row each."""
     source = "the ground truth" if calibration.source == "truth" else calibration.source
     title = f"{name}: noise models from {source}" if name else f"noise models from {source}"
-    table = LeanTable(title, ["number", "unit"], ["value", "± error, or bound"])
+    table = LeanTable(title, ["parameter", "unit"], ["value", "± error, or bound"])
     for number_of, value in calibration.numbers.items():
         error, bound = calibration.errors.get(number_of, np.nan), calibration.bounds.get(number_of, np.nan)
         known = f"{error:.2g}" if np.isfinite(error) else f"< {bound:.2g}" if np.isfinite(bound) else NOTHING

@@ -4,7 +4,7 @@
 underscores (and of the ground truth, truth)::
 
     /NAME/pose        geometry_msgs/PoseWithCovarianceStamped   at the time of each pose
-    /NAME/path        nav_msgs/Path                             the whole drive, at its beginning
+    /NAME/path        nav_msgs/Path                             the whole drive, at its beginning; each of joined ones
     /NAME/landmarks   vision_msgs/Detection3DArray              ids, places and covariances of the map, at its beginning
     /NAME/markers     visualization_msgs/MarkerArray            the same with ellipses of three standard deviations
     /tf               tf2_msgs/TFMessage                        map -> base_link of the first estimate
@@ -17,14 +17,14 @@ Stamps are by the clock of the log, so that the file can be opened beside the ba
 "time" counts seconds since the first pose::
 
     NAME/pose        the robot as a point and an arrow; x, y, heading and their covariance as numbers in full precision
-    NAME/path        the whole drive
+    NAME/path        the whole drive; of joined ones a line each
     NAME/landmarks   the map with ellipses of three standard deviations; ids, x, y and covariances as numbers
     error/NAME       position error [m], where the truth is known
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
@@ -59,7 +59,7 @@ class Track:
         seconds: the time of each pose since the first pose of the log (n,).
         nanoseconds: the same by the clock of the log, (n,) whole numbers.
         poses: (n, 3), covariances: (n, 3, 3) or None.
-        path: (k, 3) along the whole drive.
+        paths: (k, 3) along each drive of the log.
         landmarks, landmark_covariances: the map.
     """
 
@@ -68,7 +68,7 @@ class Track:
     nanoseconds: np.ndarray
     poses: Array
     covariances: Array | None
-    path: Array
+    paths: Sequence[Array]
     landmarks: Mapping[int, Array] = field(default_factory=dict)
     landmark_covariances: Mapping[int, Array] = field(default_factory=dict)
 
@@ -85,10 +85,12 @@ def tracks(comparison: Comparison) -> Iterator[Track]:
     if log.true_poses is not None:
         known = np.asarray(np.isfinite(log.true_poses).all(axis=1))
         poses = log.true_poses[known]
-        path = log.true_poses if log.true_path is None else log.true_path
-        # a position whose heading is unknown is a point of the path
-        path = np.nan_to_num(path[np.isfinite(path[:, :2]).all(axis=1)])
-        yield Track("truth", seconds[known], clock[known], poses, None, path, log.true_landmarks or {})
+        whole = (
+            (log.true_poses, np.arange(log.num_poses)) if log.true_path is None else (log.true_path, log.control_starts)
+        )
+        yield Track(
+            "truth", seconds[known], clock[known], poses, None, _of_drives(log, *whole), log.true_landmarks or {}
+        )
     between = control_path(log, comparison.options.motion, most_turn=_ARC)
     for result in comparison.results:
         used = result.estimated
@@ -96,8 +98,15 @@ def tracks(comparison: Comparison) -> Iterator[Track]:
         along = between.through(np.where(used[:, None], result.poses, np.nan))
         yield Track(
             result.name, seconds[used], clock[used], result.poses[used], None if covariances is None else covariances[used],
-            along[np.isfinite(along[:, 0])], result.landmarks, result.landmark_covariances,
+            _of_drives(log, along, between.rows), result.landmarks, result.landmark_covariances,
         )  # fmt: skip
+
+
+def _of_drives(log: Log, path: Array, rows: np.ndarray) -> list[Array]:
+    """The known places of a path along each drive; ``rows`` (T+1,) of it are the poses of the log."""
+    parts = (path[rows[drive.start] : rows[drive.stop - 1] + 1] for drive in log.drives)
+    # a position whose heading is unknown is a point of the path
+    return [np.nan_to_num(part[np.isfinite(part[:, :2]).all(axis=1)]) for part in parts]
 
 
 def _clock(log: Log) -> np.ndarray:
@@ -159,7 +168,8 @@ STAMPED = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 def _messages(comparison: Comparison) -> Iterator[tuple[int, str, str, Message]]:
     """(time [ns], topic, type, message)."""
-    for ns, topic, message in _measured(comparison.log):
+    log = comparison.log
+    for ns, topic, message in _measured(log):
         yield ns, topic, STAMPED, message
     moving: str | None = None
     for track in tracks(comparison):
@@ -171,8 +181,9 @@ def _messages(comparison: Comparison) -> Iterator[tuple[int, str, str, Message]]
             covariance = None if track.covariances is None else track.covariances[k]
             yield ns, f"{prefix}/pose", STAMPED, _stamped(ns, track.poses[k], covariance)
         head = _header(begin)
-        along = [{"header": head, "pose": _pose(at)} for at in track.path]
-        yield begin, f"{prefix}/path", "nav_msgs/msg/Path", {"header": head, "poses": along}
+        for ns, path in zip(_clock(log)[[drive.start for drive in log.drives]].tolist(), track.paths):
+            along = [{"header": _header(ns), "pose": _pose(at)} for at in path]
+            yield ns, f"{prefix}/path", "nav_msgs/msg/Path", {"header": _header(ns), "poses": along}
         if track.landmarks:
             detections = {"header": head, "detections": _detections(track, head)}
             yield begin, f"{prefix}/landmarks", "vision_msgs/msg/Detection3DArray", detections
@@ -307,7 +318,9 @@ def _write_track(rr: Any, recording: Any, track: Track) -> None:
     arrows = np.column_stack([np.cos(heading), np.sin(heading)]) * 0.3
     robot = rr.Arrows2D.columns(origins=track.poses[:, :2], vectors=arrows, colors=[color] * len(x))
     rr.send_columns(f"{track.name}/pose", [times], [*robot, *rr.AnyValues.columns(**numbers)], recording=recording)
-    recording.log(f"{track.name}/path", rr.LineStrips2D([track.path[:, :2]], colors=[color]), static=True)
+    recording.log(
+        f"{track.name}/path", rr.LineStrips2D([path[:, :2] for path in track.paths], colors=[color]), static=True
+    )
     if not track.landmarks:
         return
     ids = sorted(track.landmarks)

@@ -88,9 +88,6 @@ class FastSLAM1(ParticleFilter):
     landmark. For each new landmark a particle's weight is multiplied by that density.
     """
 
-    #: the number of coordinates of the landmarks, None before the first sighting
-    _coordinates: int | None = None
-
     def __init__(self, log: Log | None = None, *, map: Any = None, **keywords: Any) -> None:
         self._given = None if map is None else as_map(map)
         super().__init__(log, map=self._given, **keywords)

@@ -98,6 +98,8 @@ class ParticleFilter(ABC):
 
     #: whether each particle has a map of its own
     HAS_MAPS = True
+    #: the number of coordinates of these landmarks, None before the first sighting
+    _coordinates: int | None = None
     #: whether it finds the robot where the next of several joined logs begins, which may be anywhere
     _crosses_logs = False
     #: what to do where a log has no ids and the filter needs them

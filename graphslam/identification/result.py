@@ -275,7 +275,12 @@ class RobotEstimate:
         ]
         lines += [slip.sentence(self.log) for slip in self.slips]
         lines += [turn.sentence(self.log) for turn in self.turns]
-        lines += [each.sentence for each in self.uneven]
+        # one that was found twice counts with both parts
+        of_column = {each.column: each for each in self.uneven}
+        lines += [
+            replace(each, difference=sum(part.difference for part in self.uneven if part.column == column)).sentence
+            for column, each in of_column.items()
+        ]
         if self.lens is not None:
             lines.append(self.lens.sentence)
         if self.ranges is not None:

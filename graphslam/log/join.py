@@ -23,7 +23,7 @@ from .drive import TURNED, Reader, Timed, odometry_of, sightings_of, truth_of
 from .geometry import datum_note, local_plane
 from .log import Log
 from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, checked_landmarks, cut_headings, not_positive
-from .rows import MOST_LEFT_OUT, NO_CLASS, UNIDENTIFIED, UNITS_OF, ReadOptions, TableOptions
+from .rows import MOST_LEFT_OUT, NO_CLASS, SIZES, UNIDENTIFIED, UNITS_OF, ReadOptions, TableOptions
 from .streams import MOST_DISORDER, Stream, synchronize
 from .table import COVARIANCES, Kept, Table, ordered
 from .text_table import table_of
@@ -100,6 +100,8 @@ def _noise(reader: Reader, oriented: np.ndarray) -> Array:
         for role, i, j in zip(COVARIANCES, *np.triu_indices(3)):
             if reader.has(role) and j < d:
                 covariances[:, i, j] = covariances[:, j, i] = reader.numbers(role, finite=bool(j < 2))[:, 0]
+        length, angle = (SIZES[reader.options.unit(m, reader.kind) or UNITS_OF[m][0]] for m in ("lengths", "angles"))
+        covariances *= np.outer(sizes := [length, length, angle], sizes)
     else:
         roles = ("sigma", "sigma") if reader.has("sigma") and not reader.has("sigma_x") else ("sigma_x", "sigma_y")
         reader.need(*roles, instead=", and none for cov_xx, cov_yy instead of standard deviations")

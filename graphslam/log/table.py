@@ -177,7 +177,8 @@ class Kept(Table):
         return self._table.error(None if row is None else int(self._rows[row]), message)
 
 
-#: the columns of the noise of relations and positions: standard deviations, or covariances [m², m rad, rad²]
+#: the columns of the noise of relations and positions: standard deviations, or covariances, in products of the stated
+#: units, else [m², m rad, rad²]
 DEVIATIONS = ("sigma_x", "sigma_y", "sigma_theta")
 COVARIANCES = ("cov_xx", "cov_xy", "cov_xtheta", "cov_yy", "cov_ytheta", "cov_thetatheta")
 

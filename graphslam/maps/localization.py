@@ -376,9 +376,11 @@ def _stretch(log: Log | Stretch, motion: MotionModel | None, sensor: SensorModel
 
 
 def _check_not_empty(log: Stretch, landmarks: LandmarkMap) -> None:
-    if not landmarks or not len(log.steps):
-        missing = f"{log.name} has no sightings" if landmarks else "the map has no landmarks"
-        raise GraphError(f"{missing}, so that the robot cannot be found in the map")
+    if not landmarks:
+        raise GraphError("the map has no landmarks, so that the robot cannot be found in the map")
+    if not len(log.steps):
+        missing = f"{log.name} has no sightings of range and bearing, so that the robot cannot be found in the map"
+        raise GraphError(f"{missing}; ranges or bearings alone need its first pose: OnlineSolver(start, map=map)")
 
 
 def _rows(log: Stretch, landmarks: LandmarkMap) -> np.ndarray:

@@ -32,7 +32,7 @@ from ..graph.trilateration import places_of_rows
 from ..log import Log, check_is_log
 from ..maps.tracker import Tracker, unlocated
 from ..models import SensorModel
-from ..se2 import Array
+from ..se2 import Array, difference
 from ..solvers.initialize import image_notes, partial_edges
 from ..solvers.iteration import Run
 from ..solvers.joint import motion_edges
@@ -170,7 +170,8 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
         # a free start has so little information that it is lost in rounding errors of precise odometry, until a position or a
         # landmark of the map is seen
         held, release = {}, _anchored(graph)
-    solver = OnlineSolver(graph.initial[0], sensor=graph.sensor, kernel=kernel or "none", **(held | options))
+    start = difference(graph.initial[0], np.zeros(3))  # without full turns, which look like degrees
+    solver = OnlineSolver(start, sensor=graph.sensor, kernel=kernel or "none", **(held | options))
     backend: Any = solver._backend
     if known is not None:
         if any(len(known[j]) < d for j in graph.landmark_ids.tolist() if j in known):
@@ -306,8 +307,8 @@ def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) ->
     sightings = log.sightings[:, :2] if options.get("dimensions") == 2 else log.sightings
     own, numbers = _first_held(graph) | own, _single_numbers(graph)
     solver = OnlineSolver(
-        graph.trajectory[0], backend="isam2", motion=options.get("motion") or log.motion, sensor=graph.sensor,
-        kernel=options["kernel"] or "none", **own,
+        difference(graph.trajectory[0], np.zeros(3)), backend="isam2", motion=options.get("motion") or log.motion,
+        sensor=graph.sensor, kernel=options["kernel"] or "none", **own,
     )  # fmt: skip
     backend: Any = solver._backend
     relations, positions = _arriving(graph, motions)

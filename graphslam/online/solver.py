@@ -362,7 +362,7 @@ class OnlineSolver:
         if unknown := [id for id in ids if id not in known]:
             raise GraphError(f"there is no covariance of landmark {unknown[0]}: it is no node of the graph")
         matrix = self._backend.covariance(steps, ids)
-        return matrix if joint else split(matrix, poses, landmarks)
+        return matrix if joint else split(matrix, poses, landmarks, self._backend.columns or 2)
 
     def integrity_risk(self, metres: float, radians: float = np.inf) -> float:
         """The probability that the newest pose is off by more than the bounds; in a map 1 before the robot is `located`.

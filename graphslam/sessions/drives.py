@@ -184,7 +184,8 @@ def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = 
 
     Variances are the means of those of the logs, of which the ones that bring no models count with the book's; so are those
     of the biases that were taken out of them (`Log.uncertain`), zero where there are none. Where the sensors sit in
-    different places, sightings are given as from the mean of these.
+    different places, sightings are given as from the mean of these. Ranges or bearings alone cannot be: the mean is then that
+    of the logs that have any.
 
     Args:
         logs: of one place.
@@ -203,7 +204,8 @@ def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = 
 
     epsilon = float(np.mean([each.epsilon for each in motions]))
     motion = MotionModel(**squares([*map(vars, motions)]), epsilon=epsilon)
-    ahead, left = np.mean([each.offset for each in sensors], axis=0).tolist()
+    alone = [own.offset for log, own in zip(logs, sensors) if log.partial_sightings is not None]
+    ahead, left = np.mean(alone or [each.offset for each in sensors], axis=0).tolist()
     least, most, views = zip(*(each.limits for each in sensors))
     sensor = SensorModel(**squares([*map(vars, sensors)]), offset=(ahead, left))
     sensor = sensor.with_limits(min(least), max(most), max(views))
@@ -231,18 +233,13 @@ def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = 
 
 
 def _check_single_numbers(log: Log, own: SensorModel, common: SensorModel) -> None:
-    """Raise `LogError` where ranges or bearings alone would have to be given as from another place of the sensor.
-
-    A difference below the noise of the range does no harm.
-    """
-    apart, exact = float(np.hypot(*np.subtract(own.offset, common.offset))), 0.0
-    if len(log.sightings):
-        exact = float(np.sqrt(np.median(own.Q(log.sightings)[:, 0, 0])))
+    """Raise `LogError` where ranges or bearings alone would count as from another place, beyond the noise of the range."""
+    apart = float(np.hypot(*np.subtract(own.offset, common.offset)))
+    exact = float(np.sqrt(np.median(own.Q(log.sightings)[:, 0, 0]))) if len(log.sightings) else 0.0
     if log.partial_sightings is not None and apart > exact:
-        cannot = "which cannot be given as from another place of the sensor"
-        where = f"its own is {apart:.2g} m from the mean of the logs"
         raise LogError(
-            f"{log.name} has ranges or bearings alone, {cannot}: {where}. Solve it in the map of the others (map=)"
+            f"{log.name} has ranges or bearings alone, which cannot be given as from another place of the sensor: its own is "
+            f"{apart:.2g} m from the mean of the logs. Solve it in the map of the others (map=)"
         )
 
 
@@ -265,16 +262,14 @@ def _on_one_plane(logs: Sequence[Log]) -> list[Log]:
     """The logs with positions east and north of one datum, the first one, in place of the first fix of each log."""
     datum, moved = None, list(logs)
     for k, log in enumerate(logs):
-        own = datum_of(log.notes)
-        if log.positions is None or own is None:
-            continue
+        own = None if log.positions is None else datum_of(log.notes)
         datum = own if datum is None else datum
-        if not np.array_equal(own, datum):
+        if log.positions is not None and own is not None and not np.array_equal(own, datum):
             places = log.positions.places.copy()
             places[:, :2] = on_plane_of(datum, places[:, :2], own)
-            notes = [note for note in log.notes if datum_of([note]) is None]
-            notes.append(f"its {datum_note(datum, 'an earlier log')}")
-            moved[k] = log.replace(positions=replace(log.positions, places=places), notes=tuple(notes))
+            others = (note for note in log.notes if datum_of([note]) is None)
+            notes = (*others, f"its {datum_note(datum, 'an earlier log')}")
+            moved[k] = log.replace(positions=replace(log.positions, places=places), notes=notes)
     return moved
 
 

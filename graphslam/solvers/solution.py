@@ -213,7 +213,7 @@ class Solution:
             raise OptionError(f"there is no landmark {unknown[0]} in the solution")
         if not joint:
             of_landmarks = [self.landmark_covariances[id] for id in ids]
-            return shaped(poses, landmarks, [self._uncertainty.of_poses[node] for node in nodes], of_landmarks)
+            return shaped(poses, landmarks, [self._uncertainty.of_poses[node] for node in nodes], of_landmarks, d)
         if ids and not len(graph.landmark_ids):
             message = f"landmark {ids[0]} is no node of this graph; edges='landmark+motion' makes nodes of landmarks"
             raise OptionError(message)

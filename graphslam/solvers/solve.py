@@ -130,6 +130,8 @@ def check_options(
     checks.check_count(max_iterations=max_iterations)
     if not isinstance(probability, Real) or not 0 < probability < 1:
         raise OptionError(f"probability must lie between 0 and 1, not {quoted(probability)}")
+    if method != GNC and probability != signature(solve).parameters["probability"].default:
+        raise OptionError(f"the method {method} uses no probability: take method='gnc', or leave it out")
 
 
 #: graphs that are read ahead for each thread, so that none waits

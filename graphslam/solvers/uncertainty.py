@@ -357,21 +357,20 @@ def ids_of(name: str, value: Any) -> list[int]:
     raise OptionError(f"{name} must be an id, or a list of ids, not {quoted(value)}")
 
 
-def shaped(poses: Any, landmarks: Any, of_poses: list[Array], of_landmarks: list[Array]) -> Any:
-    """Matrices of poses and of landmarks in the shape of the arguments that named them."""
+def shaped(poses: Any, landmarks: Any, of_poses: list[Array], of_landmarks: list[Array], d: int) -> Any:
+    """Matrices of poses and of landmarks, d x d, in the shape of the arguments that named them."""
     found = []
-    for ids, blocks in ((poses, of_poses), (landmarks, of_landmarks)):
+    for ids, blocks, size in ((poses, of_poses, 3), (landmarks, of_landmarks, d)):
         if np.ndim(ids) == 0 and ids is not None:
             found.append(blocks[0].copy())
         elif ids is not None:
-            found.append(np.array(blocks) if blocks else np.zeros((0, 3, 3)))
+            found.append(np.array(blocks) if blocks else np.zeros((0, size, size)))
     return found[0] if len(found) == 1 else tuple(found)
 
 
-def split(matrix: Array, poses: Any, landmarks: Any) -> Any:
-    """The blocks on the diagonal of a joint covariance, in the shape of the arguments that named them."""
+def split(matrix: Array, poses: Any, landmarks: Any, d: int) -> Any:
+    """The blocks on the diagonal of a joint covariance, those of landmarks d x d, in the shape of the arguments."""
     first, others = len(ids_of("poses", poses)), len(ids_of("landmarks", landmarks))
-    d = (len(matrix) - 3 * first) // max(others, 1)
     ends = np.cumsum([0, *[3] * first, *[d] * others]).tolist()
     blocks = [matrix[a:b, a:b] for a, b in pairwise(ends)]
-    return shaped(poses, landmarks, blocks[:first], blocks[first:])
+    return shaped(poses, landmarks, blocks[:first], blocks[first:], d)

@@ -56,6 +56,10 @@ def _returns(**changes: object) -> Estimator:
         (_returns(poses=[[0, 0, 0]] * 25), "returned poses .*an array of numbers (25, 3)"),
         (_returns(poses=np.full((25, 3), np.nan)), "returned poses .*finite numbers wherever estimated is true"),
         (_returns(estimated=np.ones(25)), "returned estimated .*an array of bool (25,).*type float64"),
+        (
+            _returns(landmarks={3: np.array([np.nan, 1.0])}, named=False),
+            "returned landmarks[3] .*expected finite numbers",
+        ),
         (_returns(landmarks={3: np.zeros(4)}), "returned landmarks[3] .*of shape (4,)"),
         (_returns(landmark_covariances={3: np.zeros((2, 3))}), "returned landmark_covariances[3] .*of shape (2, 3)"),
         (_returns(association=np.zeros(2)), "returned association .*an id for each of the"),

@@ -12,6 +12,7 @@ from comparisons.cli import app
 from comparisons.cli.output import Output, in_flags
 from comparisons.options import RunOptions
 from comparisons.show.log_tables import bars, pictures, plan
+from comparisons.show.recordings import write_mcap
 from graphslam import OptionError, load, sample_log_path, simulate
 
 
@@ -49,6 +50,15 @@ def test_a_folder_is_listed_and_written(call, folder):
     assert "Wrote drive.npz." in output and "run drive.npz" in output
     assert load("drive.npz").equals(load(folder))
     assert max(len(line) for line in call("import", folder, "-q").splitlines() if "/" not in line) <= 100
+
+
+def test_a_bag_that_makes_no_log_is_described_in_json(call, tmp_path):
+    pytest.importorskip("mcap_ros2.writer")
+    write_mcap(comparisons.run(estimators=["dead-reckoning"]), tmp_path / "poses.mcap")
+    assert "no topic gives odometry" in call("import", "poses.mcap", "--json", "found.json", code=2)
+    found = json.loads(Path("found.json").read_text())
+    assert found["log"] is None and "no topic gives odometry" in found["reason"]
+    assert "/truth/pose" in [topic["name"] for topic in found["topics"]]
 
 
 def test_options_of_the_command_line(call, folder):

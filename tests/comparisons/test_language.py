@@ -404,6 +404,11 @@ def test_a_sentence_is_found_by_its_template() -> None:
     assert translated("graph: no edge comes from landmarks 3 and 4, seen in one step only.", "ja") == (
         "graph: ランドマーク3と4は1つの時刻でしか観測されていないので、エッジになりません。"
     )
+    assert "姿勢" in translated("graph, online, gtsam: the first pose was found in the map: 9 sightings agree.", "ja")
+    no_file = (
+        "There is no graph.g2o: MarginalEdges are no sum of edges between two nodes; use --weight pairs or tempered."
+    )
+    assert translated(no_file, "ja").startswith("graph.g2oはありません: MarginalEdgesは")
     assert translated("The errors are those of the 5 of 9 poses that the ground truth covers.", "ja") == (
         "誤差は、9個の姿勢のうち、真値のある5個のものです。"
     )

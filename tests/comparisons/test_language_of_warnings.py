@@ -4,7 +4,10 @@ import re
 
 import pytest
 
-from comparisons.show.language import translated
+from comparisons.show.language import translated, translated_table
+from comparisons.show.log_tables import calibration_tables
+from graphslam import MotionModel, SensorModel
+from graphslam.calibration import Calibration
 
 
 @pytest.mark.parametrize(
@@ -59,3 +62,45 @@ def test_warnings_of_a_log(message: str) -> None:
     assert (
         shown.startswith("警告: ") and shown.endswith("。") and not re.search(r"[a-z]{2,} [a-z]{2,} [a-z]{2,}", shown)
     )
+
+
+SEEN = "63 sightings of landmarks 0, 7 and 8 of the map "
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        SEEN + "fit it no better than that of another place (odds 5.2e-07): is it that, or are more sightings of other "
+        "landmarks needed?",
+        SEEN + "leave open where d heads at its first pose (standard deviation 50 degrees); more sightings of other "
+        "landmarks are needed",
+        SEEN
+        + "fit several first poses of d alike, such as (1.00, 2.00) m and (2.00, 3.00) m; more sightings are needed",
+        SEEN + "fit no first pose of d: at the best place 3 of them agree; is it the map of another place, are ids "
+        "misread, or has the noise of the sensor another size?",
+        "1 sighting of landmark 0 of the map fit no first pose of d: at the best place 0 of them agree; they would with the "
+        "map with ids one lower: do the ids of one count from 0, and of the other from 1?",
+        "d sees only landmark 3 of the map, and one landmark without a heading does not say where the robot is: two are "
+        "needed",
+        "d has sightings without ids, and they do not say surely where in the map it begins: (-3.88, -1.42) m, 83 degrees "
+        "with probability 0.6; (3.88, -1.42) m, 9 degrees with probability 0.3; more sightings are needed, or give it the "
+        "pose",
+        "d has sightings without ids, which do not say where in the map it begins; they would with the map in feet: give "
+        "it in metres",
+        "graph: found 10 landmarks in sightings without ids; 0 of 304 sightings are of no landmark (clutter), J per degree "
+        "of freedom is 1.00",
+        "d: 9 poses, 8 sightings (3 without an id) of 7 landmarks",
+        "d: 9 poses, 1 sighting and 8 with a range or a bearing alone of 7 landmarks",
+        "d: 9 poses, 8 sightings (3 without an id) and 8 with a range or a bearing alone of 7 landmarks",
+        "particle-gibbs left out: d has no sightings of range and bearing: particle Gibbs would only repeat its noise model",
+    ],
+)
+def test_other_sentences_of_a_run_are_japanese(message: str) -> None:
+    assert not re.search(r"[a-z]{2,} [a-z]{2,}", translated(message, "ja"))
+
+
+def test_names_of_parameters_stay_as_they_are() -> None:
+    """One of them is called "no"."""
+    (table,), _ = calibration_tables(Calibration(motion=MotionModel(), sensor=SensorModel()))
+    cells = list(translated_table(table, "ja").columns[0].cells)
+    assert cells[:4] == ["nn", "no", "on", "oo"]

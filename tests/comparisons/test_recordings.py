@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 
 import comparisons
 from comparisons.cli import app
-from comparisons.show.recordings import write_mcap, write_rerun
+from comparisons.show.recordings import _messages, tracks, write_mcap, write_rerun
 from graphslam import load, sample_log_path
 
 
@@ -78,6 +78,18 @@ def test_paths_truth_and_frames_of_mcap(comparison, messages):
     moved = messages["/tf"][7][2].transforms[0]
     assert (moved.header.frame_id, moved.child_frame_id) == ("map", "base_link")
     assert moved.transform.translation.x == comparison.results[0].poses[7, 0]
+
+
+def test_joined_drives_have_a_path_each():
+    """One line would cross the gap between them, where nobody knows the way."""
+    log = load(sample_log_path())
+    halves = [log.at_steps(range(0, 30)), log.at_steps(range(30, 60))]
+    found = comparisons.run(halves, estimators=["dead-reckoning"])
+    for track in tracks(found):
+        assert [len(path) >= 30 for path in track.paths] == [True, True]
+        np.testing.assert_allclose([path[0] for path in track.paths], track.poses[[0, 30]])
+    paths = [message for _, topic, _, message in _messages(found) if topic == "/dead_reckoning/path"]
+    assert [len(path["poses"]) for path in paths] == [len(path) for path in track.paths]
 
 
 def test_our_own_reader_opens_it(comparison, tmp_path):

@@ -12,7 +12,20 @@ import pytest
 from typer.testing import Result
 
 import comparisons
-from graphslam import Graph, Log, MotionModel, OptionError, SensorModel, join_logs, load, save, simulate, solve
+from graphslam import (
+    Graph,
+    Log,
+    MotionModel,
+    OptionError,
+    PartialSightings,
+    SensorModel,
+    join_logs,
+    load,
+    save,
+    simulate,
+    solve,
+)
+from graphslam.log import UNIDENTIFIED
 from graphslam.log.continuous_time import with_poses_every
 from graphslam.metrics import ate
 from graphslam.se2 import between
@@ -197,6 +210,39 @@ def test_the_noise_of_several_logs_is_the_mean_of_theirs_where_the_sensor_is() -
         origin = np.zeros((len(before.steps), 3))
         places = own.h_inverse(origin, before.sightings), sensor.h_inverse(origin, after.sightings)
         assert np.allclose(*places)
+
+
+@pytest.mark.parametrize(("alone", "offset"), [((0,), 0.0), ((1,), 0.4)])
+def test_the_place_of_the_sensor_is_that_of_the_logs_with_single_numbers(alone: tuple[int, ...], offset: float) -> None:
+    """A range cannot be carried to another place of the sensor, as whole sightings are."""
+    partial = PartialSightings(steps=[0], landmarks=[3], ranges=[2.0], bearings=[np.nan])
+    logs = [
+        log.replace(
+            sensor=SensorModel(offset=(0.4 * k, 0.0)), partial_sightings=partial if k in alone else None
+        ).without_orientation()
+        for k, log in enumerate(drives(2))
+    ]
+    common = with_common_noise(logs)
+    assert [log.sensor and log.sensor.offset for log in common] == [(offset, 0.0)] * 2
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "joined"),
+    [
+        ("cone", None, ["cone", ""]),
+        (None, 7, [UNIDENTIFIED, 7]),
+        (7, "cone", ["7", "cone"]),
+        ("cone", UNIDENTIFIED, ["cone", ""]),
+    ],
+)
+def test_classes_of_joined_logs_are_kept(first: str | int | None, second: str | int | None, joined: list) -> None:
+    """They are unknown where a log has none."""
+    logs = [
+        log if each is None else log.replace(classes=[each] * len(log.steps))
+        for log, each in zip(drives(2), (first, second))
+    ]
+    found = join_logs(logs).log.classes
+    assert found is not None and [found[0], found[-1]] == joined
 
 
 def test_biases_taken_out_of_several_logs_are_as_uncertain_as_the_mean_of_theirs_in_any_order() -> None:

@@ -149,6 +149,8 @@ def test_both_kernels_agree() -> None:
         ).run()
         for s, (block, particles) in enumerate([(1, 40), (8, 40), (3, 4)])
     ]
+    poses, landmarks = results[0].covariance(poses=[], landmarks=[])
+    assert poses.shape == (0, 3, 3) and landmarks.shape[0] == 0
     scale = np.sqrt(np.diagonal(results[0].covariance()[1:], axis1=1, axis2=2))
     for other in results[1:]:
         difference = (other.poses - results[0].poses)[1:] / scale

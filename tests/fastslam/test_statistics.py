@@ -184,6 +184,8 @@ def test_filters_have_the_methods_of_the_online_solver(cls: type) -> None:
     np.testing.assert_allclose(joint[3:5, 3:5], landmarks[0])
     np.testing.assert_allclose(joint[5:, 5:], landmarks[1])
     np.testing.assert_array_equal(slam.covariance(), pose)
+    assert [block.shape for block in slam.covariance(poses=[], landmarks=[])] == [(0, 3, 3), (0, 2, 2)]
+    assert slam.covariance(poses=[], landmarks=[], joint=True).shape == (0, 0)
     assert np.linalg.eigvalsh(joint).min() > 0
     weights, mean = np.exp(slam.state.log_weights), slam.landmarks[3]
     means = np.array([slam.state.map(k)[3].mean for k in range(400)])

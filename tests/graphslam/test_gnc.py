@@ -172,6 +172,8 @@ def test_what_cannot_be(book_log):
     ]:
         with pytest.raises(OptionError, match=message):
             solve(graph, **options, method="gnc")
+    with pytest.raises(OptionError, match="the method gauss-newton uses no probability: take method='gnc'"):
+        solve(graph, probability=0.9)
     unseen = replace(graph, families=(graph.families[0], graph.families[2]))
     with pytest.raises(GraphError, match="needs sightings, relations or positions"):
         solve(unseen, method="gnc")

@@ -291,5 +291,5 @@ def test_maps_that_do_not_fit_are_refused_with_the_cause():
     assert way @ np.linalg.solve(fix.covariance, way) < 21
     empty = np.zeros(0, dtype=np.intp)
     blind = log.replace(steps=empty, landmarks=empty, sightings=np.zeros((0, 3)))
-    assert "has no sightings" in refused(blind, true)
+    assert "has no sightings of range and bearing" in refused(blind, true)
     assert "the map has no landmarks" in refused(log, {})

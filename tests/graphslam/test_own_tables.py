@@ -150,6 +150,17 @@ def test_stated_columns_units_and_clocks(drive, expected):
     np.testing.assert_allclose(log.times, expected.times, rtol=1e-12)
 
 
+def test_covariances_are_in_products_of_the_stated_units(drive):
+    """sigma 20 mm and 9 mm, and 3 degrees with a correlation of 0.5."""
+    given = {"cov_xx": [400.0], "cov_xtheta": [30.0], "cov_yy": [81.0], "cov_thetatheta": [9.0]}
+    where = {"t": [1.0], "x": [500.0], "y": [0.0], "theta": [90.0]}
+    tables = {"odometry": drive() / "odometry.csv", "sightings": drive() / "sightings.csv", "positions": where | given}
+    log = Log.from_tables(**tables, lengths={"positions": "mm"}, angles={"positions": "degrees"})
+    x, y, theta = 0.02, 0.009, np.deg2rad(3)
+    expected = [[x**2, 0, x * theta / 2], [0, y**2, 0], [x * theta / 2, 0, theta**2]]
+    np.testing.assert_allclose(log.positions.covariances, [expected], atol=1e-15)
+
+
 def test_times_since_1970_are_exact_to_a_nanosecond(drive):
     ns = 1_716_000_000_123_456_789 + np.arange(200) * 100_000_001
     seen = 1_716_000_001_000_000_003

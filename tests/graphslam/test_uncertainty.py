@@ -74,6 +74,8 @@ def test_landmarks_and_blocks_between_nodes(dimensions):
     def block(i, j, columns=3):
         return inverse[3 * i : 3 * i + 3, 3 * j : 3 * j + columns]
 
+    poses, landmarks = solution.covariance(poses=[], landmarks=[])
+    assert poses.shape == (0, 3, 3) and landmarks.shape == (0, dimensions, dimensions)
     np.testing.assert_allclose(solution.covariance([5, 90], joint=True)[:3, 3:], block(5, 90), rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(
         solution.covariance([160, 159], joint=True)[:3, 3:], block(160, 159), rtol=1e-6, atol=1e-12

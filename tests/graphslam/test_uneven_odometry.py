@@ -69,6 +69,8 @@ def test_unequal_turns_are_found_and_corrected(seed: int, column: int, size: flo
     assert found.column == column and abs(found.difference - size) < 4 * found.error + 0.01
     (doubt,) = (each for each in robot.doubts if "left turns are recorded larger" in each)
     assert "左旋回が右旋回より" in translated(doubt, "ja")
+    twice = replace(robot, uneven=(replace(found, difference=found.difference - 0.03), replace(found, difference=0.03)))
+    assert [each for each in twice.doubts if "are recorded larger" in each] == [doubt]
     healthy = estimate_robot(right)
     assert healthy.uneven == ()
     wrong, best = (ate(log.true_poses, solve(Graph.from_log(each.log)).poses) for each in (robot, healthy))
