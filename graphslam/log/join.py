@@ -336,6 +336,7 @@ def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
     """Raise `LogError` where two clocks have no time in common; the message has both intervals and the likely cause."""
     begin, end = int(odometry.times[0]), int(odometry.times[-1])
     first, last = int(other.times[0]), int(other.times[-1])
+    whole, others = (f"{t[0] / 1e9:.3f} to {t[-1] / 1e9:.3f} s" for t in (odometry.times, other.times))
     if len(odometry.times) == 1:
         raise odometry.table.error(None, "there is one row, but motion takes two")
     if begin == end:
@@ -346,7 +347,7 @@ def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
         longer = (last - first) / (end - begin)
         if inside < _FEW * len(other.times) and longer > _LONGER:
             lasts = f"{_name(other)} lasts {longer:.0f} times as long as {_name(odometry)}"
-            rows = f"only {inside} of {len(other.times)} rows are within its time ({_interval(begin, end)})"
+            rows = f"only {inside} of {len(other.times)} rows are within its time ({whole})"
             advice = f"are its times in another unit? Then add time='{kind}={_finer_unit(other, longer) or 'ms'}'"
             raise LogError(f"{lasts}, and {rows}: {advice}")
         return
@@ -364,7 +365,7 @@ def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
         cause = f"they differ by about {abs(round(hours))} h, as two time zones do"
     else:
         cause = "they are of different drives, or one clock was not set"
-    names = f"{_name(odometry)} ({_interval(begin, end)}) and {_name(other)} ({_interval(first, last)})"
+    names = f"{_name(odometry)} ({whole}) and {_name(other)} ({others})"
     raise LogError(f"the clocks of {names} do not overlap: {cause}; {remedy}")
 
 
@@ -382,10 +383,6 @@ def _name(stream: Timed) -> str:
     """The table without its folder: a sentence with two paths is hard to read."""
     path, colon, topic = stream.table.source.partition(": ")
     return f"{Path(path).name}{colon}{topic}"
-
-
-def _interval(begin: int, end: int) -> str:
-    return f"{begin / 1e9:.3f} to {end / 1e9:.3f} s"
 
 
 def end_to_end(first: Log, second: Log) -> Log:
@@ -444,11 +441,12 @@ def joined_rows(first: Measured | None, second: Measured | None) -> Measured | N
 
 def _classes(*logs: Log) -> np.ndarray | None:
     """The classes of the sightings of logs, as words where one has words; unknown for a log that has none."""
-    kinds = {each.classes.dtype.kind for each in logs if each.classes is not None}
+    if all(each.classes is None for each in logs):
+        return None
     rows = [np.full(len(each.steps), UNIDENTIFIED) if each.classes is None else each.classes for each in logs]
-    if "U" in kinds:
+    if any(own.dtype.kind == "U" for own in rows):
         rows = [np.where(each.classified, own.astype(str), NO_CLASS) for each, own in zip(logs, rows)]
-    return np.concatenate(rows) if kinds else None
+    return np.concatenate(rows)
 
 
 def _sessions(log: Log) -> tuple[Session, ...]:
