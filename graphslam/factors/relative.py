@@ -98,12 +98,17 @@ class RelativePoseFactor(Factor):
             OptionError: in the world frame the information is frozen, and that of GTSAM's factor turns with the pose.
         """
         arguments = self.description.arguments
-        if arguments["frame"] == "world":
-            raise OptionError("to_between needs frame='body': GTSAM's factor turns its information with the pose")
+        _check_body(arguments["frame"])
         z, omega = self._between
         noise = noise_model(arguments, information=turned_by(omega, -z[2]))
         key_1, key_2 = self.keys()
         return gtsam.BetweenFactorPose2(key_1, key_2, gtsam.Pose2(*z), noise)
+
+
+def _check_body(frame: str) -> None:
+    """Raise `OptionError` in the world frame, whose information is frozen; that of GTSAM's factor turns with the pose."""
+    if frame == "world":
+        raise OptionError("to_between needs frame='body': GTSAM's factor turns its information with the pose")
 
 
 class MotionFactor(RelativePoseFactor):
@@ -362,12 +367,13 @@ class VirtualMotionFactor(Factor):
         error through the logarithm of SE(2), so away from there they differ (docs/factors.md has figures).
 
         Raises:
-            OptionError: without psi two sightings measure no relative pose.
+            OptionError: without psi two sightings measure no relative pose; in the world frame the information is frozen.
         """
         arguments = self.description.arguments
         z_1, z_2, sensor = arguments["z_1"], arguments["z_2"], arguments["sensor"]
         if len(z_1) != 3:
             raise OptionError("without psi two sightings of a landmark measure no relative pose")
+        _check_body(arguments["frame"])
         landmark_1, landmark_2 = (gtsam.Pose2(*in_robot_frame(z, sensor), z[1] - z[2]) for z in (z_1, z_2))
         # a pose whose theta + phi is psi sees the landmark in the landmark's own axes
         noisy = (z_1, z_2) if arguments["noise_at"] is None else arguments["noise_at"]

@@ -204,6 +204,7 @@ def test_a_number_is_calibrated_with_the_poses():
         (lambda: MotionFactor(X1, X2, [1, 0], 1.0, kernel="l7"), "kernel must be one of"),
         (lambda: VirtualMotionFactor(X1, X2, [1, 0], [1, 0], frame="world", at=([0, 0, 0],) * 2).to_between(), "no relative pose"),
         (lambda: MotionFactor(X1, X2, [1, 0], 1.0, frame="world", at=[0, 0, 0]).to_between(), "frame='body'"),
+        (lambda: VirtualMotionFactor(X1, X2, [1, 0, 0], [1, 0, 0], frame="world", at=([0, 0, 0],) * 2).to_between(), "frame='body'"),
         (lambda: ObservationFactor(X1, M, [1, 0], scale=-1), "scale must be a positive"),
         (lambda: ObservationFactor(X1, M, [1, 0], residual="both"), "residual must be one of"),
         (lambda: AnchorFactor(True, [0, 0, 0]), "a key must be an integer"),
