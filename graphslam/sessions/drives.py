@@ -230,18 +230,13 @@ def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = 
 
 
 def _check_single_numbers(log: Log, own: SensorModel, common: SensorModel) -> None:
-    """Raise `LogError` where ranges or bearings alone would have to be given as from another place of the sensor.
-
-    A difference below the noise of the range does no harm.
-    """
-    apart, exact = float(np.hypot(*np.subtract(own.offset, common.offset))), 0.0
-    if len(log.sightings):
-        exact = float(np.sqrt(np.median(own.Q(log.sightings)[:, 0, 0])))
-    if log.partial_sightings is not None and apart > exact:
-        cannot = "which cannot be given as from another place of the sensor"
-        where = f"its own is {apart:.2g} m from the mean of the logs"
+    """Raise `LogError` where ranges or bearings alone would be given as from another place, farther than their noise."""
+    apart = float(np.hypot(*np.subtract(own.offset, common.offset)))
+    noise = float(np.sqrt(np.median(own.Q(log.sightings)[:, 0, 0]))) if len(log.sightings) else 0.0
+    if log.partial_sightings is not None and apart > noise:
         raise LogError(
-            f"{log.name} has ranges or bearings alone, {cannot}: {where}. Solve it in the map of the others (map=)"
+            f"{log.name} has ranges or bearings alone, which cannot be given as from another place of the sensor: its own is "
+            f"{apart:.2g} m from the mean of the logs. Solve it in the map of the others (map=)"
         )
 
 
@@ -271,9 +266,9 @@ def _on_one_plane(logs: Sequence[Log]) -> list[Log]:
         if not np.array_equal(own, datum):
             places = log.positions.places.copy()
             places[:, :2] = on_plane_of(datum, places[:, :2], own)
-            notes = [note for note in log.notes if datum_of([note]) is None]
-            notes.append(f"its {datum_note(datum, 'an earlier log')}")
-            moved[k] = log.replace(positions=replace(log.positions, places=places), notes=tuple(notes))
+            others = (note for note in log.notes if datum_of([note]) is None)
+            notes = (*others, f"its {datum_note(datum, 'an earlier log')}")
+            moved[k] = log.replace(positions=replace(log.positions, places=places), notes=notes)
     return moved
 
 
