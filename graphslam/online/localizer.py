@@ -145,6 +145,8 @@ class Localizer:
     def notes(self) -> tuple[str, ...]:
         """What the map lacks, and what the drive says against it."""
         lost = (CORRELATIONS_LOST,) * self._given.correlated
+        if not self._given.oriented and any(len(z) == 3 for *_, z in self._rows[:1]):
+            lost += ("psi is not used, because not all landmarks of the map have a heading there",)
         for left_out in (True, False):
             if moved := {j: size for j, size in self._moved.items() if (j not in self._declared) == left_out}:
                 lost += (said_of_moved(moved, max(moved.values()), left_out=left_out),)

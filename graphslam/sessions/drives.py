@@ -233,10 +233,10 @@ def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = 
 
 
 def _check_single_numbers(log: Log, own: SensorModel, common: SensorModel) -> None:
-    """Raise `LogError` where ranges or bearings alone would count as from another place, beyond the noise of the range."""
+    """Raise `LogError` where ranges or bearings alone would be given as from another place, farther than their noise."""
     apart = float(np.hypot(*np.subtract(own.offset, common.offset)))
-    exact = float(np.sqrt(np.median(own.Q(log.sightings)[:, 0, 0]))) if len(log.sightings) else 0.0
-    if log.partial_sightings is not None and apart > exact:
+    noise = float(np.sqrt(np.median(own.Q(log.sightings)[:, 0, 0]))) if len(log.sightings) else 0.0
+    if log.partial_sightings is not None and apart > noise:
         raise LogError(
             f"{log.name} has ranges or bearings alone, which cannot be given as from another place of the sensor: its own is "
             f"{apart:.2g} m from the mean of the logs. Solve it in the map of the others (map=)"

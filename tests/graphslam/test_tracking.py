@@ -266,6 +266,17 @@ def test_a_start_that_is_given_is_used():
     assert np.hypot(*(solver.poses - log.true_poses)[:, :2].T).max() < 0.5
 
 
+def test_psi_that_is_not_used_in_a_map_without_headings_is_said():
+    pose = FIRST.true_poses[0]
+    solver = OnlineSolver(pose, map=TRUE, **MODELS)
+    z = np.append(MODELS["sensor"].h(pose, TRUE[0]), 0.3)
+    solver.observe([0], [z[:2]])
+    assert solver.notes == ()
+    solver = OnlineSolver(pose, map=TRUE, **MODELS)
+    solver.observe([0], [z])
+    assert len(solver.landmarks[0]) == 2 and "psi is not used" in solver.notes[0]
+
+
 def test_two_landmarks_with_headings_locate_a_robot():
     """`first_fix` stops at two landmarks with headings; 4 of 14 such drives were never located."""
     models = {
