@@ -87,7 +87,8 @@ struct Descent {
     /// Whether steps from a changed state lead below the lowest one, whose place their end takes then. Where J is lower once it
     /// changes by less than the part `settled`, they go on to the minimum.
     bool lowers(State state, double settled) {
-        const double tolerance = 1e-6 * std::sqrt(static_cast<double>(state.size() / 3));
+        const std::size_t nodes = state.size() / 3;
+        const double tolerance = 1e-6 * std::sqrt(static_cast<double>(nodes));
         double reached = cost;
         for (const double part : {settled, 0.0}) {
             Run run{{.tolerance = tolerance, .most_steps = steps_after, .cost_tolerance = part}, std::move(state)};
