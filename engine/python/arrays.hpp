@@ -6,7 +6,6 @@
 
 #include <algorithm>
 #include <cstring>
-#include <functional>
 #include <span>
 #include <stdexcept>
 #include <string_view>
@@ -43,7 +42,9 @@ auto copy_of(const Array& array) {
     return std::vector(array.data(), array.data() + array.size());
 }
 
-/// What a call returns, during which other threads may use Python.
+/// Of a binding during which other threads may use Python.
+using release = nb::call_guard<nb::gil_scoped_release>;
+/// What a call returns during which they may.
 template <class Call>
 auto released(Call call) {
     const nb::gil_scoped_release others;

@@ -30,11 +30,9 @@ Out<std::int64_t> views(const In<double>& poses, const In<double>& landmarks, co
     require(landmarks.ndim() == 2 && landmarks.shape(1) >= 2, "landmarks have at least two coordinates");
     require(poses.size() % 3 == 0 && origin.size() == 2 && limits.size() % 3 == 0, "poses and limits have three columns");
     const std::vector<FieldLimit> fields = records<FieldLimit>(limits, limits.size() / 3);
-    std::vector<std::int64_t> counts;
-    {
-        const nb::gil_scoped_release other_threads;
-        counts = count_views(span(poses), span(landmarks), landmarks.shape(1), {origin.data()[0], origin.data()[1]}, fields);
-    }
+    std::vector<std::int64_t> counts = released([&] {
+        return count_views(span(poses), span(landmarks), landmarks.shape(1), {origin.data()[0], origin.data()[1]}, fields);
+    });
     return array(std::move(counts), {fields.size(), landmarks.shape(0)});
 }
 
@@ -53,11 +51,7 @@ std::pair<Out<Number>, double> best(const In<Number>& start, const In<Number>& l
     // they are numbered, so that a list of all landmarks is short
     for (const Number landmark : numbers)
         require(landmark >= 0 && landmark < Number(count), "landmarks must be numbered from 0");
-    BestHypothesis found;
-    {
-        const nb::gil_scoped_release other_threads;
-        found = best_hypothesis(candidates, starts, span(bounds), span(gates), most);
-    }
+    BestHypothesis found = released([&] { return best_hypothesis(candidates, starts, span(bounds), span(gates), most); });
     return {array(std::move(found.chosen)), found.evidence};
 }
 

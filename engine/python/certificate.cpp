@@ -48,15 +48,9 @@ bool add(edges::ConstantEdges& to, const In<Index>& first, const In<Index>& seco
 
 /// First, second, d_a, d_b, turn (None without a heading row), the upper triangles of Omega (E, 6), and the landmarks.
 nb::tuple arrays(const edges::ConstantEdges& from) {
-    std::vector<double> places[2];
-    for (const Edge& edge : from.edges) {
-        places[0].insert(places[0].end(), {edge.d_a.real(), edge.d_a.imag()});
-        places[1].insert(places[1].end(), {edge.d_b.real(), edge.d_b.imag()});
-    }
-    const std::size_t count = from.edges.size();
-    const bool oriented = count && from.edges.front().oriented;
+    const bool oriented = !from.edges.empty() && from.edges.front().oriented;
     return nb::make_tuple(rows_of(from.edges, &Edge::first), rows_of(from.edges, &Edge::second),
-                          array(std::move(places[0]), {count, 2}), array(std::move(places[1]), {count, 2}),
+                          rows_of(from.edges, &Edge::d_a), rows_of(from.edges, &Edge::d_b),
                           oriented ? nb::cast(rows_of(from.edges, &Edge::turn)) : nb::none(),
                           rows_of(from.edges, &Edge::information), rows_of(from.landmarks));
 }

@@ -20,7 +20,6 @@
 namespace vmslam::python::edges_bindings {
 
 using namespace edges;
-using release = nb::call_guard<nb::gil_scoped_release>;
 
 /// The symmetric part of matrices (d, d), on which alone the cost depends.
 Symmetric symmetric(const double* W, int d) {

@@ -89,11 +89,8 @@ class SharedChain {
         require(rows.size() == width * deviations.size(), "the directions have another width than the state");
         const Directions directions{records<Vector>(poses, count), records<Vector>(marks, problem.marks), span(rows),
                                     span(deviations)};
-        ChainSamples samples;
-        {
-            const nb::gil_scoped_release other_threads;
-            samples = chain_.run(random_, problem, directions, {particles, block, sweeps, moves, warm_up});
-        }
+        const ChainRules rules{particles, block, sweeps, moves, warm_up};
+        const ChainSamples samples = released([&] { return chain_.run(random_, problem, directions, rules); });
         return nb::make_tuple(rows_of(samples.trajectories, count), rows_of(samples.maps, problem.marks));
     }
 
@@ -120,12 +117,8 @@ std::unique_ptr<BackwardSampler> sampler_of(SharedFilter& shared, const Problem&
 
 nb::tuple draw_backwards(const BackwardSampler& sampler, std::uint64_t key) {
     Random random(key);
-    std::pair<Trajectory, Map> drawn;
-    {
-        const nb::gil_scoped_release other_threads;
-        drawn = sampler.draw(random);
-    }
-    return nb::make_tuple(rows_of(drawn.first), rows_of(drawn.second));
+    const auto [path, map] = released([&] { return sampler.draw(random); });
+    return nb::make_tuple(rows_of(path), rows_of(map));
 }
 
 void bind(nb::module_& m) {

@@ -97,11 +97,7 @@ void bind(nb::module_& m) {
         .def("values", [](OnlineSystem& s, const Numbers32& nodes) { return rows_of(s.values(checked(s, nodes))); })
         // the values of nodes as the last step left them
         .def("places",
-             [](const OnlineSystem& s, const Numbers32& nodes) {
-                 std::vector<Triple> rows;
-                 for (const Id node : checked(s, nodes)) rows.push_back(s.graph().nodes[node].x);
-                 return rows_of(rows);
-             })
+             [](const OnlineSystem& s, const Numbers32& nodes) { return rows_of(s.graph().values(checked(s, nodes))); })
         .def("cost", &OnlineSystem::cost)
         .def("cost_with_priors", &OnlineSystem::cost_with_priors)
         .def("covariance",

@@ -3,6 +3,7 @@
 
 #include <mutex>
 #include <new>
+#include <type_traits>
 
 #include "arrays.hpp"
 #include "vmslam/particles/filter.hpp"
@@ -16,6 +17,7 @@ class SharedFilter {
         : filter_(first_poses(poses), threads, records) {}
     explicit SharedFilter(const particles::Filter& filter) : filter_(filter) {}
 
+    /// What `work` does with the filter; it changes nothing there if it takes a constant one.
     template <class Work>
     auto with(const Work& work) {
         const nb::gil_scoped_release release;
@@ -24,7 +26,7 @@ class SharedFilter {
         try {
             return work(filter_);
         } catch (const std::bad_alloc&) {
-            incomplete_ = true;
+            incomplete_ = !std::is_invocable_v<Work, const particles::Filter&>;
             throw;
         }
     }

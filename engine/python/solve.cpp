@@ -5,7 +5,6 @@
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
-#include <functional>
 
 #include "arrays.hpp"
 #include "bindings.hpp"
@@ -18,7 +17,6 @@ namespace vmslam::python::solve_bindings {
 
 using namespace solve;
 using Factor = sparse::Factor<sparse::Real3>;
-using release = nb::call_guard<nb::gil_scoped_release>;
 
 /// A state (n, 3) as an array of its own.
 Out<double> state_array(const double* at, std::size_t size) {
@@ -83,16 +81,16 @@ class PythonFamily : public edges::Family {
 
     std::vector<edges::HeadingRelation> headings() const override {
         const nb::gil_scoped_acquire python;
-        return read<edges::HeadingRelation>(family_.attr("headings")(), 1,
-                                            [](const double* value, const double* information) {
-                                                return edges::HeadingRelation{0, 0, *value, *information};
-                                            });
+        const auto relation = [](Index i, Index j, const double* value, const double* information) {
+            return edges::HeadingRelation{i, j, *value, *information};
+        };
+        return read<edges::HeadingRelation>(family_.attr("headings")(), 1, relation);
     }
 
     std::vector<edges::PositionRelation> positions(const double* state) const override {
         const nb::gil_scoped_acquire python;
-        const auto relation = [](const double* p, const double* W) {
-            return edges::PositionRelation{0, 0, p[0], p[1], W[0], (W[1] + W[2]) / 2, W[3]};
+        const auto relation = [](Index i, Index j, const double* p, const double* W) {
+            return edges::PositionRelation{i, j, p[0], p[1], W[0], (W[1] + W[2]) / 2, W[3]};
         };
         return read<edges::PositionRelation>(family_.attr("positions")(state_array(state, size_)), 2, relation);
     }
@@ -112,12 +110,10 @@ class PythonFamily : public edges::Family {
         require(second.size() == count && value.size() == count * width && information.size() == count * width * width,
                 "relations have two nodes, a value and information each, and as many of all");
         for (std::size_t k = 0; k < count; ++k) {
-            out.push_back(make(value.data() + k * width, information.data() + k * width * width));
-            out.back().first = first.data()[k];
-            out.back().second = second.data()[k];
-            for (const Index node : {out.back().first, out.back().second})
-                require(node >= 0 && static_cast<std::size_t>(node) < size_ / 3,
-                        "relations name a node that the graph lacks");
+            const Index i = first.data()[k], j = second.data()[k];
+            require(std::min(i, j) >= 0 && static_cast<std::size_t>(std::max(i, j)) < size_ / 3,
+                    "relations name a node that the graph lacks");
+            out.push_back(make(i, j, value.data() + k * width, information.data() + k * width * width));
         }
         return out;
     }

@@ -17,7 +17,6 @@
 namespace vmslam::python::sparse_bindings {
 
 using namespace sparse;
-using release = nb::call_guard<nb::gil_scoped_release>;
 
 Pattern pattern_of(const In<Index>& start, const In<Index>& rows) { return {span(start), span(rows)}; }
 

@@ -1,6 +1,5 @@
 #include "vmslam/log.hpp"
 
-#include <algorithm>
 #include <cmath>
 
 namespace vmslam {
@@ -42,12 +41,7 @@ Moved moved(std::span<const Control> controls, std::span<const ControlVariances>
         const auto [nu, omega, sideways] = variances[k];
         const Rotation axes(end.t + f.angle);
         const Vector d = turned(axes, f.mean);
-        const Symmetric AMA{f.by_nu * f.by_nu * nu + f.along * f.along * omega,
-                            f.along * f.across * omega,
-                            f.across * f.across * omega + sideways,
-                            f.along * f.turn * omega,
-                            f.across * f.turn * omega,
-                            f.turn * f.turn * omega};
+        const Symmetric AMA_S = f.covariance(nu, omega) + Symmetric{0, 0, sideways, 0, 0, 0};
         // F = [I, (-d.y, d.x); 0, 1]
         const edges::Lever lever{-d.y, d.x};
         P = Symmetric{P.xx + 2 * lever.x * P.xt + lever.x * lever.x * P.tt,
@@ -56,7 +50,7 @@ Moved moved(std::span<const Control> controls, std::span<const ControlVariances>
                       P.xt + lever.x * P.tt,
                       P.yt + lever.y * P.tt,
                       P.tt} +
-            turned(axes, AMA);
+            turned(axes, AMA_S);
         end = end + d;
     }
     return {end, P};

@@ -120,6 +120,9 @@ void growth_adds_up(unsigned seed) {
             expect(problem.items[second] != problem.items[seed_pair], "second pairs can follow the first", seed);
         }
     }
+    const std::vector<Number> often(problem.count + 1, 0);
+    expect(problem.count == 0 || grown_from(often, problem.pairs(), problem.items, {1e300, 20.0, true}).members[0],
+           "a pair that is given more than once", seed);
     const Grown nothing = grown_from({}, problem.pairs(), problem.items, {1e300, 20.0, false});
     expect(nothing.evidence == 0.0 && nothing.second[0] == -1, "no pairs have no evidence", seed);
 }

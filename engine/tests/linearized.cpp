@@ -1,7 +1,6 @@
 // Inverses of covariances, and edges that also depend on parameters, against dense matrices; second derivatives of edges against
 // differences.
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <limits>
 #include <random>

@@ -227,6 +227,16 @@ void a_refused_step_changes_nothing(unsigned seed) {
         expect(refused([&] { alone.marginalize(node, {&node, 1}); }), "a node without neighbours is not marginalised", seed);
     drive.step();
     expect(system.converged, "the next step is taken", seed);
+    // nothing is solved with a prior that has no factor
+    const Id first = alone.add_node(), mark = alone.add_node();
+    const Triple place{1.0, 2.0, 0.0};
+    alone.add_prior({&first, 1}, {&place, 1}, {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}, false);
+    expect(alone.solve({&first, 1}, {}, {&first, 1}), "a pose with a prior", seed);
+    alone.add_prior({&mark, 1}, {&place, 1}, {1.0, 2.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0, 0.0}, true);
+    expect(!alone.solve({&mark, 1}, {}, {&first, 1}), "an indefinite prior", seed);
+    const Id next = alone.add_node();
+    const NewEdge motion{first, next, Kind::motion, true, {1.0, 0.0, 0.0}, stiff};
+    expect(!alone.add(next, {&motion, 1}, {&next, 1}), "nor a step after it", seed);
 }
 
 /// A loop closure after a heading error of a radian needs the batch solver.

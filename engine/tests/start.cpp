@@ -3,7 +3,6 @@
 #include <numbers>
 #include <numeric>
 #include <random>
-#include <stdexcept>
 
 #include "expect.hpp"
 #include "vmslam/solve/graph.hpp"
@@ -260,6 +259,10 @@ void test_wrong_arguments() {
     for (const solve::Index node : {-1, 3})
         expect(refused([&] { graph.add_anchor(node, {}); }) && refused([&] { graph.add_relative({{0, node, {}, {}}}); }),
                "a node that is not there", 0);
+    expect(refused([] { solve::Graph(3, {3}); }), "a point that is not there", 0);
+    expect(refused([&] { graph.add_pairs(nullptr, {0, 1}, {1}); }), "an edge with one end", 0);
+    const solve::Index starts[] = {0, 2}, backwards[] = {1, 0};
+    expect(refused([&] { graph.add_groups(nullptr, starts, backwards); }), "nodes of a group that decrease", 0);
     solve::Run run{{.tolerance = 1e-9}, {0.0}};
     expect(refused([&] { graph.solve(run); }) && refused([&] { graph.costs(run.state); }), "a short state", 0);
     Log log;

@@ -1,6 +1,8 @@
 """Copies of particle filters, and arrays that the engine refuses."""
 
 import pickle
+import subprocess
+import sys
 from copy import copy, deepcopy
 
 import numpy as np
@@ -79,3 +81,26 @@ def test_floating_point_ids_are_refused():
     assert particles.landmarks().tolist() == [7]
     with pytest.raises(TypeError):
         particles.branch(np.linspace(0, 9, 10))
+
+
+WITHOUT_MEMORY = """
+import copy, resource
+import numpy as np
+from graphslam.engine import engine
+filter = engine.ParticleFilter(np.zeros((300_000, 3)), 1, False)
+filter.use_ids(False, 0, None)
+filter.weigh_identified(np.arange(3), np.array([[1.0, 0.0], [2.0, 1.0], [3.0, 0.5]]), np.full((3, 2), 0.1), 0)
+used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + 10_000_000, resource.RLIM_INFINITY))
+try:
+    copy.deepcopy(filter)
+except MemoryError:
+    resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    print(filter.best)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the memory of a process is limited as Linux does it")
+def test_a_copy_that_runs_out_of_memory_leaves_the_filter_as_it_was():
+    done = subprocess.run([sys.executable, "-c", WITHOUT_MEMORY], capture_output=True, text=True)
+    assert (done.stdout, done.returncode) == ("0\n", 0), done.stderr

@@ -16,7 +16,8 @@ class Growth {
           items_(items),
           rules_(rules),
           count_(pairs.residuals.size()),
-          factor_(pairs, count_),
+          // pairs that are given more than once have columns for each
+          factor_(pairs, count_ + begin.size()),
           free_(pairs.allowed.begin(), pairs.allowed.end()) {
         std::copy_if(begin.begin(), begin.end(), std::back_inserter(given_), [](Number c) { return c >= 0; });
         grown_.members.assign(count_, 0);

@@ -5,7 +5,6 @@
 #include "vmslam/edges/rotations.hpp"
 
 namespace vmslam::certificate {
-namespace {
 
 constexpr double pi = std::numbers::pi;
 /// The part of beta and of kappa that absorbs rounding errors.
@@ -14,8 +13,6 @@ constexpr double absorbed = 1e-9;
 constexpr double half_turn = pi - 1e-6;
 /// Shares to try for one edge, where its own split leaves no curvature in the heading.
 constexpr double more_shares[] = {0.5, 0.8, 0.95, 0.99};
-
-}  // namespace
 
 void State::set(std::span<const double> values, Complex origin) {
     const std::size_t count = values.size() / 3;

@@ -3,12 +3,9 @@
 #include "vmslam/numbers/elementary.hpp"
 
 namespace vmslam::edges {
-namespace {
 
 /// Larger angles [rad] are left to the C library.
 constexpr double largest = 1e6;
-
-}  // namespace
 
 RotationsOfLanes rotations(const std::array<double, numbers::lanes>& angles) {
     RotationsOfLanes out;

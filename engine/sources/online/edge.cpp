@@ -106,9 +106,8 @@ Symmetric robust_information(const Graph& graph, const Edge& edge, const Present
     if (!bent || now.squares == 0.0) return (now.weight * graph.gain_of(edge)) * W;
     const double curve = 2 * graph.kernel_of(edge).weight_slope(now.squares);
     const double slope = std::max(curve, (least_bend - 1) * now.weight / now.squares);
-    // in this order a residual far beyond all others underflows to zero
-    const Vector &p = now.pull, f{slope * p.x, slope * p.y, slope * p.t};
-    return now.weight * W + Symmetric{f.x * p.x, f.x * p.y, f.y * p.y, f.x * p.t, f.y * p.t, f.t * p.t};
+    // it multiplies one of the factors, so that a residual far beyond all others underflows to zero
+    return now.weight * W + edges::outer(slope, now.pull);
 }
 
 /// (gamma, h) of an edge.

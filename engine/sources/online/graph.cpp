@@ -109,6 +109,12 @@ void Graph::unlink(Id edge, Id node) {
     *at = after;
 }
 
+std::vector<Triple> Graph::values(std::span<const Id> of) const {
+    std::vector<Triple> x;
+    for (const Id node : of) x.push_back(nodes[node].x);
+    return x;
+}
+
 std::vector<Id> Graph::edges_of(Id node) const {
     std::vector<Id> found;
     for (Id e = nodes[node].edges; e >= 0; e = edges[e].next[edges[e].side(node)]) found.push_back(e);

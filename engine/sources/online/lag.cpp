@@ -113,7 +113,7 @@ Triple OnlineSystem::marginalize(Id node, std::span<const Id> newest) {
     prior.information = std::move(rest.information);
     prior.rhs = std::move(rest.rhs);
     prior.relative = relative;
-    for (const Id member : prior.members) prior.centre.push_back(graph_.nodes[member].x);
+    prior.centre = graph_.values(prior.members);
     prior.evaluate(graph_, true);
     hang_prior(prior);
     priors_.push_back(std::move(prior));

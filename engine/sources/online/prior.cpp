@@ -57,12 +57,6 @@ std::vector<char> points_of(const Graph& graph, std::span<const Id> members) {
     return point;
 }
 
-std::vector<Triple> values_of(const Graph& graph, std::span<const Id> members) {
-    std::vector<Triple> x;
-    for (const Id node : members) x.push_back(graph.nodes[node].x);
-    return x;
-}
-
 /// A place in the axes of a node.
 Lever in_axes(const Rotation& axes, const Triple& node, const Triple& place) {
     const double x = place[0] - node[0], y = place[1] - node[1];
@@ -90,12 +84,12 @@ void Prior::turn_to_poses() {
 }
 
 double Prior::cost(const Graph& graph) const {
-    return Way(*this, values_of(graph, members), points_of(graph, members)).cost(*this);
+    return Way(*this, graph.values(members), points_of(graph, members)).cost(*this);
 }
 
 void Prior::evaluate(const Graph& graph, bool renew) {
     const std::vector<char> point = points_of(graph, members);
-    std::vector<Triple> x = values_of(graph, members);
+    std::vector<Triple> x = graph.values(members);
     const Way way(*this, x, point);
     pull = way.gradient(*this);
     if (!renew) return;
@@ -105,7 +99,7 @@ void Prior::evaluate(const Graph& graph, bool renew) {
 
 bool Prior::outdated(const Graph& graph) const {
     const std::vector<char> point = points_of(graph, members);
-    return Way(*this, values_of(graph, members), point).turned_from(Way(*this, at, point)) > most_turned;
+    return Way(*this, graph.values(members), point).turned_from(Way(*this, at, point)) > most_turned;
 }
 
 Way::Way(const Prior& prior, std::span<const Triple> x, const std::vector<char>& point)

@@ -18,12 +18,19 @@ struct Top {
     std::size_t fresh;  ///< the first edges are new
 
     Top(Graph& graph, Tree& tree, const Changes& changes) {
-        for (const Id node : changes.touched) remove_from(tree, graph.nodes[node].home);
+        // a new prior hangs below supernode 0, and ties nodes that may not be touched where an elimination with it has failed
+        std::vector<Id> touched(changes.touched.begin(), changes.touched.end());
+        for (Id c = tree.groups[0].child; c > 0; c = tree.groups[c].sibling)
+            if (const Supernode& group = tree.groups[c]; group.w == 0 && std::ranges::count(changes.gone, c) == 0) {
+                below.push_back(c);
+                touched.insert(touched.end(), group.nodes.begin(), group.nodes.end());
+            }
+        for (const Id node : touched) remove_from(tree, graph.nodes[node].home);
         for (const Id s : changes.gone) remove_from(tree, s);
         for (const Id s : removed)
             for (const Id node : tree.groups[s].columns())
                 if (!graph.nodes[node].gone) add(graph, node);
-        for (const Id node : changes.touched)
+        for (const Id node : touched)
             if (graph.nodes[node].local < 0) add(graph, node);
         edges.assign(changes.fresh.begin(), changes.fresh.end());
         fresh = edges.size();
@@ -43,9 +50,6 @@ struct Top {
         nodes.push_back(node);
     }
     void find_below(Tree& tree) {
-        // a new prior hangs below supernode 0
-        for (Id c = tree.groups[0].child; c > 0; c = tree.groups[c].sibling)
-            if (!tree.groups[c].marked && tree.groups[c].w == 0) below.push_back(c);
         for (const Id s : removed)
             for (Id c = tree.groups[s].child; c > 0; c = tree.groups[c].sibling)
                 if (!tree.groups[c].marked) below.push_back(c);

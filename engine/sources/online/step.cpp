@@ -16,7 +16,6 @@
 #include "vmslam/online/system.hpp"
 
 namespace vmslam::online {
-namespace {
 
 /// A pass leaves out subtrees that would change J by less than this part of it. Where a pass is slow, this is multiplied by
 /// `finer` for the next ones, because edges of subtrees that were left out may be the reason.
@@ -50,8 +49,6 @@ constexpr double least_left = 0.3;
 constexpr double growth = 1.3;
 /// The part by which J may rise in the passes of a step with single numbers.
 constexpr double rises = 1e-6;
-
-}  // namespace
 
 /// What a step changes until an elimination has succeeded, to put it back: nodes from `homes` up to the roots, the new nodes
 /// and edges, and what the system remembers.

@@ -1,15 +1,11 @@
 #include "vmslam/online/system.hpp"
 
 #include <algorithm>
-#include <cmath>
 
 namespace vmslam::online {
-namespace {
 
 /// How far the edges of a factor may be from the present ones where a covariance is asked for; see `Memory::limit`.
 constexpr double known_limit = 1e-7;
-
-}  // namespace
 
 void OnlineSystem::use_kernel(const edges::Kernel& kernel, double gain, int rows) {
     for (int k = 1; k <= 3; ++k)
@@ -177,9 +173,7 @@ std::vector<Triple> OnlineSystem::values(std::span<const Id> nodes) {
     std::vector<Id> homes;
     for (const Id node : nodes) homes.push_back(graph_.nodes[node].home);
     tree_.move_paths(graph_, homes);
-    std::vector<Triple> x;
-    for (const Id node : nodes) x.push_back(graph_.nodes[node].x);
-    return x;
+    return graph_.values(nodes);
 }
 
 void OnlineSystem::complete() { tree_.move_all(graph_); }

@@ -66,11 +66,6 @@ std::ptrdiff_t Tree::numbers() const {
     return total;
 }
 
-double* Tree::work(Index rows) {
-    if (work_.size() < rows) work_ = Numbers(2 * rows);
-    return work_.data();
-}
-
 std::vector<Id> Tree::upwards(std::span<const Id> homes) {
     std::vector<Id> path, chains, order;
     for (Id s : homes) {
@@ -206,11 +201,11 @@ bool Tree::factorize(Graph& graph, Id s) {
     double* const x = group.panel();
     const Index own = 3 * front.w, all = own + 3 * front.r;
     const Index packing = sparse::packing<Real3>(front.w, h);
-    if (packed_.empty() || packed_[0].size() < packing) packed_.assign(1, Numbers(2 * packing));
+    at_least(packed_[0], packing);
     const sparse::Panel<Real3> panel{x, front, packed_};
     std::memset(x, 0, own * h * sizeof(double));
     put_entries(graph, group, x);
-    double* const limits = work(own);
+    double* const limits = at_least(work_, own);
     std::fill_n(limits, own, 0.0);
     for (Id q = 0; q < group.w; ++q) {
         const Node& node = graph.nodes[group.nodes[q]];
@@ -225,13 +220,8 @@ bool Tree::factorize(Graph& graph, Id s) {
     put_separator_entries(graph, group, update);
     for (Id c = group.child; c > 0; c = groups[c].sibling)
         extend(groups[c], own, all, update + front.update_pad, front.update_height);
-    // what is above the diagonal there has no meaning, and enters sums as zero
-    for (Index j = 0; j < 3 * front.r; ++j) {
-        double* const column = update + j * front.update_height;
-        const Index row = front.update_pad + j;
-        // the block of a node begins at most two rows above
-        std::fill(column + sparse::group_of(std::max(front.update_pad, row - 2)), column + row, 0.0);
-    }
+    // it enters sums
+    panel.clear_above_diagonal(update);
     return true;
 }
 

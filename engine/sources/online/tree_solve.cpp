@@ -42,11 +42,6 @@ Frame frame_of(const Graph& graph, const Supernode& group) {
     return {graph.nodes[group.separator()[group.frame]], group.seen[group.frame]};
 }
 
-double* at_least(Numbers& numbers, Index size) {
-    if (numbers.size() < size) numbers = Numbers(2 * size);
-    return numbers.data();
-}
-
 }  // namespace
 
 const double* Tree::motion(const Graph& graph, const Supernode& group) {
@@ -131,7 +126,7 @@ void Tree::follow(const Graph& graph, Id s) {
 
 void Tree::move(Graph& graph, Supernode& group, const double* m) {
     const Front front = group.front();
-    double* const a = work(front.height);
+    double* const a = at_least(work_, front.height);
     // rows that are not known yet are zero, so that the unused part of the panel does not enter the sums
     std::memset(a, 0, (front.pad + 3 * front.w) * sizeof(double));
     std::copy_n(m, 3 * front.r, a + front.pad + 3 * front.w);
@@ -232,7 +227,7 @@ void Tree::evaluate(Graph& graph, Id s, Evaluation& found) {
     rest(graph, s);
     Supernode& group = groups[s];
     const Front front = group.front();
-    double* const b = work(front.height);
+    double* const b = at_least(work_, front.height);
     std::memset(b, 0, front.height * sizeof(double));
     double* const at = b + front.pad;
     for (Id q = 0; q < group.w; ++q)
@@ -306,7 +301,7 @@ std::vector<double> Tree::covariance(Graph& graph, std::span<const Id> nodes) {
                 some |= std::ranges::any_of(numbers_of(inner), [](double x) { return x != 0.0; });
             if (some) {
                 const Front front = group.front();
-                double* const part = work(front.height);
+                double* const part = at_least(work_, front.height);
                 std::memset(part, 0, front.height * sizeof(double));
                 double* const at = part + front.pad;
                 for (Id k = 0; k < group.w + group.r; ++k) std::ranges::copy(numbers_of(group.nodes[k]), at + group.row[k]);

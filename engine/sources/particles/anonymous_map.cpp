@@ -4,14 +4,10 @@
 
 namespace vmslam::particles {
 
-namespace {
-
 /// A landmark is missed only within this share of the limits of the sensor.
 constexpr double inside = 0.9;
 /// The share of the variances of a single sighting by which landmarks that are one may differ in any case.
 constexpr double correlated = 0.1;
-
-}  // namespace
 
 AnonymousMap::AnonymousMap(std::size_t particles, bool oriented, const AnonymousOptions& options, Confusion confusion)
     : particles_(particles),

@@ -6,23 +6,22 @@ using namespace numbers;
 
 namespace {
 
-/// The least sum over classes of p(c) p'(c).
+/// The least n sum over classes of p(c) p'(c).
 constexpr double least_common = 1e-300;
 /// A landmark has a heading even where psi is not measured.
 constexpr PositionRows rows = position_rows(true);
 
-Lanes log_same_class(const Blocks& a, const Blocks& b, std::size_t classes, std::size_t i) {
+/// The sum over classes of p(c) p'(c).
+Lanes same_class(const Blocks& a, const Blocks& b, std::size_t classes, std::size_t i) {
     Lanes total{};
     for (int row = first_class_row; row < first_class_row + static_cast<int>(classes); ++row)
         total += load(a.group(row, i)) * load(b.group(row, i));
-    return numbers::log(larger(Lanes(static_cast<double>(classes) * total), all<Lanes>(least_common)));
+    return total;
 }
 
 /// p(c) of the older landmark times p(c) of the younger one, in some lanes.
 void join_classes(const Blocks& young, Blocks& old, std::size_t classes, std::size_t i, const Integers& merged) {
-    Lanes total{};
-    for (int row = first_class_row; row < first_class_row + static_cast<int>(classes); ++row)
-        total += load(young.group(row, i)) * load(old.group(row, i));
+    const Lanes total = same_class(young, old, classes, i);
     for (int row = first_class_row; row < first_class_row + static_cast<int>(classes); ++row) {
         const Lanes before = load(old.group(row, i));
         store(old.group(row, i), numbers::select(merged, Lanes(load(young.group(row, i)) * before / total), before));
@@ -41,7 +40,8 @@ Integers are_one(const Blocks& young, const Blocks& old, bool oriented, double g
     const auto near = both & (dx * dx + dy * dy <= farthest * (a.xx + a.yy + b.xx + b.yy + 2 * blur.position));
     if (!any(near)) return near;
     Lanes squared = squared_distance(a, b, blur.position, blur.heading, oriented);
-    if (classes > 0) squared -= 2.0 * log_same_class(young, old, classes, i);
+    const Lanes common = static_cast<double>(classes) * same_class(young, old, classes, i);
+    if (classes > 0) squared -= 2.0 * numbers::log(larger(common, all<Lanes>(least_common)));
     return near & (squared <= gate);
 }
 

@@ -8,14 +8,10 @@
 
 namespace vmslam::particles {
 
-namespace {
-
 /// Rows are removed at the earliest after this many new ones per particle.
 constexpr std::size_t minimum_growth = 16;
 /// Rows are numbered with 32 bits.
 constexpr std::size_t most_rows = std::numeric_limits<Index>::max();
-
-}  // namespace
 
 History::History(std::size_t particles) : particles_(particles), line_(particles), limit_(minimum_growth * particles) {
     std::iota(line_.begin(), line_.end(), Index{0});

@@ -1,7 +1,5 @@
 #include "vmslam/particles/kalman.hpp"
 
-#include <limits>
-
 namespace vmslam::particles {
 
 using namespace numbers;

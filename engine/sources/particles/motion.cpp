@@ -25,17 +25,20 @@ Chord chord(double nu, double omega, double dt) {
     return {a, {nu * dt * sinc, 0.0, 2 * a}, dt * sinc, nu * dt * dt / 2 * slope, nu * dt * dt / 2 * sinc, dt};
 }
 
+Symmetric Chord::covariance(double nu, double omega) const {
+    return {by_nu * by_nu * nu + along * along * omega,
+            along * across * omega,
+            across * across * omega,
+            along * turn * omega,
+            across * turn * omega,
+            turn * turn * omega};
+}
+
 Prediction predict(const Motion& motion, bool exact) {
     if (const auto* const whole = std::get_if<WholeMotion>(&motion.model)) return {0.0, whole->mean, whole->covariance, 0.0};
     const auto& u = std::get<ControlMotion>(motion.model);
     const Chord f = chord(u.nu, u.omega, u.dt);
-    const double nu_var = u.nu_std * u.nu_std, omega_var = u.omega_std * u.omega_std;
-    const Symmetric AMA{f.by_nu * f.by_nu * nu_var + f.along * f.along * omega_var,
-                        f.along * f.across * omega_var,
-                        f.across * f.across * omega_var,
-                        f.along * f.turn * omega_var,
-                        f.across * f.turn * omega_var,
-                        f.turn * f.turn * omega_var};
+    const Symmetric AMA = f.covariance(u.nu_std * u.nu_std, u.omega_std * u.omega_std);
     return {f.angle, f.mean, AMA, exact ? widened(u.epsilon, AMA.xx + AMA.yy + AMA.tt) : u.epsilon};
 }
 

@@ -1,7 +1,5 @@
 #include "vmslam/particles/proposal.hpp"
 
-#include "vmslam/particles/kalman.hpp"
-
 namespace vmslam::particles {
 
 using namespace numbers;
@@ -43,13 +41,11 @@ WeightedDraw::WeightedDraw(const Motion& motion) : motion_(motion) {
 }
 
 void WeightedDraw::whiten(const Symmetric& P) {
-    const double l00 = std::sqrt(P.xx), l10 = P.xy / l00, l20 = P.xt / l00;
-    const double l11 = std::sqrt(P.yy - l10 * l10), l21 = (P.yt - l20 * l10) / l11;
-    const double l22 = std::sqrt(P.tt - l20 * l20 - l21 * l21);
-    w00_ = 1 / l00, w11_ = 1 / l11, w22_ = 1 / l22;
-    w10_ = -l10 / (l00 * l11), w21_ = -l21 / (l11 * l22);
-    w20_ = -(l20 / l00 + l21 * w10_) / l22;
-    log_scale_ = numbers::log(l00 * l11 * l22);
+    const LowerRoot L(P);
+    w00_ = 1 / L.xx, w11_ = 1 / L.yy, w22_ = 1 / L.tt;
+    w10_ = -L.yx / (L.xx * L.yy), w21_ = -L.ty / (L.yy * L.tt);
+    w20_ = -(L.tx / L.xx + L.ty * w10_) / L.tt;
+    log_scale_ = numbers::log(L.determinant());
     least_position_ = rounding_share * (P.xx + P.yy), least_heading_ = rounding_share * P.tt;
 }
 

@@ -1,5 +1,3 @@
-#include <cmath>
-
 #include "vmslam/solve/run.hpp"
 
 namespace vmslam::solve {
@@ -24,7 +22,10 @@ constexpr double shrinking = 0.1;
 /// Delta = Omega^-1 xi, with the factor of an earlier state where Omega hardly changes.
 class Step {
    public:
-    Step(Objective& objective, Run& run) : objective_(objective), run_(run), delta(run.state.size()) {}
+    std::vector<double> delta;
+    double predicted = 0.0;  ///< the quadratic model predicts that J falls by Delta' Omega Delta = xi' Delta
+
+    Step(Objective& objective, Run& run) : delta(run.state.size()), objective_(objective), run_(run) {}
 
     /// The correction at the present state; false where there is none. `enough` is a decrease that ends the iteration.
     bool compute(double enough) {
@@ -42,20 +43,15 @@ class Step {
     void renew() { kept_ = false; }
 
    private:
-    Objective& objective_;
-    Run& run_;
-    bool kept_ = false;
-
-   public:
-    std::vector<double> delta;
-    double predicted = 0.0;  ///< the quadratic model predicts that J falls by Delta' Omega Delta = xi' Delta
-
-   private:
     bool solve() {
         if (!objective_.solve(delta)) return false;
         predicted = inner(objective_.xi(), delta);
         return true;
     }
+
+    Objective& objective_;
+    Run& run_;
+    bool kept_ = false;
 };
 
 /// How undamped steps end.

@@ -12,10 +12,11 @@ namespace vmslam::solve {
 
 Graph::Graph(Index nodes, std::vector<Index> points) : nodes_(nodes), points_(std::move(points)) {
     require(nodes > 0, "a graph needs at least one node");
+    for (const Index node : points_) check_node(node);
 }
 
 void Graph::check_node(Index node) const {
-    require(node >= 0 && node < nodes_, "an edge or an anchor names a node that the graph does not have");
+    require(node >= 0 && node < nodes_, "an edge, an anchor or a point is a node that the graph does not have");
 }
 
 void Graph::check_state(std::span<const double> state) const {
@@ -42,6 +43,7 @@ void Graph::add_relative(std::vector<edges::RelativeEdge> edges, const edges::Ke
 }
 
 void Graph::add_pairs(std::unique_ptr<const edges::Family> family, std::vector<Index> first, std::vector<Index> second) {
+    require(first.size() == second.size(), "each edge has two ends");
     for (std::size_t e = 0; e < first.size(); ++e) {
         check_node(first[e]);
         check_node(second[e]);
@@ -58,7 +60,11 @@ void Graph::add_groups(std::unique_ptr<const edges::Family> family, std::span<co
                 std::is_sorted(starts.begin(), starts.end()),
             "the starts of groups must not decrease from 0 to the number of their nodes");
     for (const Index node : nodes) check_node(node);
-    for (std::size_t g = 0; g + 1 < starts.size(); ++g) sizes_.push_back(starts[g + 1] - starts[g]);
+    for (std::size_t g = 0; g + 1 < starts.size(); ++g) {
+        require(std::is_sorted(nodes.begin() + starts[g], nodes.begin() + starts[g + 1]),
+                "the nodes of a group must not decrease");
+        sizes_.push_back(starts[g + 1] - starts[g]);
+    }
     grouped_.insert(grouped_.end(), nodes.begin(), nodes.end());
     members_.push_back({std::move(family), {}, {}});
 }

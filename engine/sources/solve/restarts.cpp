@@ -77,21 +77,50 @@ struct Deviations {
     }
 };
 
-/// A run from a changed state, to the minimum where that is lower than `cost`.
-Run run_below(Objective& objective, State start, double cost, double settled, int& steps) {
-    const std::size_t nodes = start.size() / 3;
-    Rules rules{.tolerance = 1e-6 * std::sqrt(static_cast<double>(nodes)), .most_steps = steps_after};
-    rules.cost_tolerance = settled;
-    Run run{rules, std::move(start)};
-    gauss_newton(objective, run);
-    steps += run.steps();
-    if (run.end == End::not_determined || !(objective.cost(run.state, run.state) < cost)) return run;
-    rules.cost_tolerance = 0.0;
-    Run further{rules, std::move(run.state)};
-    gauss_newton(objective, further);
-    steps += further.steps();
-    return further;
-}
+/// A search for lower states: the lowest one so far, its J, and what is found.
+struct Descent {
+    Objective& objective;
+    State best;
+    double cost = objective.cost(best, best);
+    Lowered out{};
+
+    /// Whether steps from a changed state lead below the lowest one, whose place their end takes then. Where J is lower once it
+    /// changes by less than the part `settled`, they go on to the minimum.
+    bool lowers(State state, double settled) {
+        const std::size_t nodes = state.size() / 3;
+        const double tolerance = 1e-6 * std::sqrt(static_cast<double>(nodes));
+        double reached = cost;
+        for (const double part : {settled, 0.0}) {
+            Run run{{.tolerance = tolerance, .most_steps = steps_after, .cost_tolerance = part}, std::move(state)};
+            gauss_newton(objective, run);
+            out.steps += run.steps();
+            if (run.end == End::not_determined) return false;
+            reached = objective.cost(run.state, run.state);
+            if (!(reached < cost)) return false;
+            state = std::move(run.state);
+        }
+        if (!(reached < cost * (1 - lower))) return false;
+        out.state = best = std::move(state);
+        cost = reached;
+        return true;
+    }
+
+    /// Try other turns, one after the other; whether any leads lower.
+    bool turn(const Odometry& odometry, double limit) {
+        const std::size_t most = std::min(most_turns, odometry.poses() / poses_per_turn);
+        std::set<std::tuple<std::size_t, std::size_t, bool>> tried;
+        bool found = false;
+        for (bool again = true; again; found |= again) {
+            again = false;
+            for (const Stretch& stretch : stretches(best, odometry)) {
+                if (again || tried.size() >= most || out.steps >= limit) break;
+                if (!tried.emplace(stretch.first, stretch.last, stretch.left).second) continue;
+                again = lowers(other_turn(best, odometry, stretch), settled);
+            }
+        }
+        return found;
+    }
+};
 
 /// The end of some steps without a random half of the measurements of some families; where these fail, the state itself.
 State without_half(const GraphObjective& graph, std::span<const std::size_t> doubted, const State& state, std::uint64_t key,
@@ -155,56 +184,22 @@ std::vector<double> other_turn(std::vector<double> state, const Odometry& odomet
 }
 
 Lowered lowered_by_turns(Objective& objective, std::span<const double> state, const Odometry& odometry, double limit) {
-    const std::size_t most = std::min(most_turns, odometry.poses() / poses_per_turn);
-    Lowered out;
-    State best(state.begin(), state.end());
-    double cost = objective.cost(best, best);
-    std::set<std::tuple<std::size_t, std::size_t, bool>> tried;
-    for (bool again = true; again;) {
-        again = false;
-        for (const Stretch& stretch : stretches(best, odometry)) {
-            if (tried.size() >= most || out.steps >= limit) break;
-            if (!tried.emplace(stretch.first, stretch.last, stretch.left).second) continue;
-            const Run run = run_below(objective, other_turn(best, odometry, stretch), cost, settled, out.steps);
-            if (run.end == End::not_determined) continue;
-            const double reached = objective.cost(run.state, run.state);
-            if (reached < cost * (1 - lower)) {
-                out.state = best = run.state;
-                cost = reached;
-                again = true;
-                break;
-            }
-        }
-    }
-    return out;
+    Descent search{objective, {state.begin(), state.end()}};
+    search.turn(odometry, limit);
+    return search.out;
 }
 
 Lowered lowered_by_halves(GraphObjective& graph, std::span<const std::size_t> doubted, std::span<const double> state,
                           const Odometry& odometry, double limit) {
-    Lowered out;
-    if (doubted.empty()) return out;
-    State best(state.begin(), state.end());
-    double cost = graph.cost(best, best);
+    if (doubted.empty()) return {};
+    Descent search{graph, {state.begin(), state.end()}};
     std::uint64_t key = 0;
-    for (bool again = true; again;) {
-        for (int failed = 0; failed < most_halves && out.steps < limit; ++failed) {
-            State start = without_half(graph, doubted, best, key++, out.steps);
-            const Run run = run_below(graph, std::move(start), cost, settled_after_half, out.steps);
-            if (run.end == End::not_determined) continue;
-            const double reached = graph.cost(run.state, run.state);
-            if (!(reached < cost * (1 - lower))) continue;
-            out.state = best = run.state;
-            cost = reached;
-            failed = -1;
-        }
-        const Lowered turned = out.state ? lowered_by_turns(graph, best, odometry, limit - out.steps) : Lowered{};
-        out.steps += turned.steps;
-        again = turned.state.has_value();
-        if (!again) continue;
-        out.state = best = *turned.state;
-        cost = graph.cost(best, best);
-    }
-    return out;
+    do
+        for (int failed = 0; failed < most_halves && search.out.steps < limit; ++failed)
+            if (search.lowers(without_half(graph, doubted, search.best, key++, search.out.steps), settled_after_half))
+                failed = -1;
+    while (search.out.state && search.turn(odometry, limit));
+    return search.out;
 }
 
 }  // namespace vmslam::solve

@@ -1,7 +1,6 @@
 #include "vmslam/sparse/symbolic.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <numeric>
 
 #include "vmslam/sparse/ordering.hpp"

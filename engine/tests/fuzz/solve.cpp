@@ -26,9 +26,7 @@ solve::Graph relative_graph(Input& input, std::size_t nodes) {
             edges.push_back({i, static_cast<sparse::Index>(j), input.place(1.0, 1.0), omega});
             if (input.one_in(2)) std::swap(edges.back().i, edges.back().j);
         }
-    const edges::Kernel robust = kernel(input);
-    graph.add_relative(std::move(edges), robust);
-    graph.reweighted = static_cast<bool>(robust);
+    graph.add_relative(std::move(edges), kernel(input));
     return graph;
 }
 

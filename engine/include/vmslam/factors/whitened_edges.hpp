@@ -27,7 +27,6 @@ class WhitenedEdges {
    public:
     WhitenedEdges(std::vector<WhitenedEdge> edges, Index poses, bool world);
 
-    Index rows() const { return rows_; }
     /// The whitened residuals, those of an edge with a kernel scaled so that their squares sum to its loss.
     std::vector<double> residuals(std::span<const double> x) const;
     /// The whitened residuals with a kernel as a weight, and Jacobians (nodes, 3, rows).

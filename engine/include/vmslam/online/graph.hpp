@@ -136,6 +136,7 @@ struct Graph {
     /// Take an edge out of the list of one of its ends.
     void unlink(Id edge, Id node);
 
+    std::vector<Triple> values(std::span<const Id> of) const;
     std::vector<Id> edges_of(Id node) const;
     std::vector<Id> live_nodes() const, live_edges() const;
 };

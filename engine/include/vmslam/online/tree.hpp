@@ -33,6 +33,12 @@ namespace vmslam::online {
 using sparse::Front;
 using sparse::Numbers;
 
+/// Room for some numbers, with undefined content.
+inline double* at_least(Numbers& numbers, std::size_t size) {
+    if (numbers.size() < size) numbers.resize(2 * size);
+    return numbers.data();
+}
+
 /// A node of the separator in the axes of the frame. The frame itself, and all nodes where there is no frame, in the world.
 struct Seen {
     double x, y, angle;
@@ -139,8 +145,6 @@ class Tree {
     std::ptrdiff_t numbers() const;
 
    private:
-    /// Room for vectors of fronts and for packing, with undefined content.
-    double* work(sparse::Index rows);
     void put_entries(const Graph& graph, const Supernode& group, double* x);
     void put_separator_entries(const Graph& graph, const Supernode& group, double* update);
     /// m of a supernode, the motion of its separator.
@@ -151,8 +155,8 @@ class Tree {
     void follow(const Graph& graph, Supernode& group, const double* pull);
 
     std::vector<Id> free_;
-    Numbers work_, motion_, pull_;
-    std::vector<Numbers> packed_;
+    Numbers work_, motion_, pull_;  ///< vectors of fronts
+    std::vector<Numbers> packed_ = std::vector<Numbers>(1);
 };
 
 /// Linearise the edges `late` again, and factorise and evaluate their supernodes, `others` and those above them, with the

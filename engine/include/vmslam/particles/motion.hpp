@@ -34,6 +34,9 @@ struct Chord {
     Vector mean;
     /// the entries of df/du that are not zero: nu moves along the chord; omega moves along and across it, and turns
     double by_nu, along, across, turn;
+
+    /// A M A' in the axes of the chord, M the diagonal of the variances of nu and omega.
+    Symmetric covariance(double nu, double omega) const;
 };
 Chord chord(double nu, double omega, double dt);
 

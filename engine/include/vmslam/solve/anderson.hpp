@@ -7,7 +7,6 @@
 // acceleration for fixed-point iterations, SIAM J. Numer. Anal. 49 (2011).
 #pragma once
 
-#include <cstddef>
 #include <deque>
 #include <span>
 #include <vector>

@@ -1,7 +1,6 @@
 // What an iteration needs of the cost that it minimises.
 #pragma once
 
-#include <memory>
 #include <span>
 #include <vector>
 
