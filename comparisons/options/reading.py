@@ -247,7 +247,6 @@ def _compared_with_estimate(log: Log, motion: MotionModel, sensor: SensorModel) 
     kinds = {
         "scales of the odometry that differ between two directions": found.uneven,
         "bearings that are off by a part of their size": found.lens,
-        "ranges that are off for single landmarks": found.ranges,
         "a sensor that was turned during the drive": found.turns,
     }
     shown += [kind for kind, errors in kinds.items() if errors]

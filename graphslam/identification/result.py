@@ -210,7 +210,8 @@ class RobotEstimate:
 
         Slips and turns of the sensor belong to the drive: to its times.
         """
-        same = log.times is not None and np.array_equal(log.times, self.log.times)
+        own = self.log.times
+        same = log.times is not None and own is not None and np.array_equal(log.times, own)
         biases = {n: value for n, value in zip(self.parameters.names, self.parameters.values) if n not in PLACE}
         log = turned_back(
             undistorted(evened(levelled(log, self.uneven), self.ranges), self.lens), self.turns if same else ()

@@ -19,6 +19,7 @@ from comparisons.estimators.config import config_text, read_config
 from comparisons.options import NoiseOptions, RunOptions, options_of
 from comparisons.options.reading import _compared_with_estimate, prepare
 from comparisons.options.toml_files import read_noise, write_noise
+from comparisons.show.language import translated
 from fastslam import FastSLAM2
 from graphslam import (
     Drive,
@@ -420,6 +421,19 @@ def test_a_noise_file_of_another_robot_is_doubted(tmp_path: Path, robot: Robot) 
         doubts = [each.message for each in found.findings if "does not fit this log" in each.message]
         assert [doubt is not None and doubt in each for each in doubts] == ([] if doubt is None else [True])
         assert any("mean log density" in note and "the noise that was given" in note for note in found.log.notes)
+
+
+@pytest.mark.nightly
+def test_what_a_noise_file_does_not_correct_is_doubted(tmp_path: Path) -> None:
+    """Errors that files do not contain were found beside the file, and not said."""
+    log, _ = replace(Drive.random(1001), duration=200.0).simulate()
+    write_noise(Calibration.of(estimate_robot(log)), tmp_path / "noise.toml", "drive")
+    lens = log.sightings * np.array([1.0, 1.04, 1.0])[: log.sightings.shape[1]]
+    for each, count in ((log, 0), (log.replace(sightings=lens), 1)):
+        findings = run(each, estimators=["graph"], noise=tmp_path / "noise.toml").findings
+        said = [each.message for each in findings if "bearings that are off by a part of their size" in each.message]
+        assert len(said) == count
+    assert "方位の誤差" in translated(said[0], "ja")
 
 
 @pytest.mark.nightly
