@@ -367,7 +367,9 @@ def _check(logs: tuple[Log, ...], source: str) -> None:
     """Raise `LogError` where a log lacks what is needed, or the logs are of different kinds."""
     for log in logs:
         if len(log.steps) == 0:
-            raise LogError(f"{log.name} has no sightings at all, so the noise of the sensor cannot be estimated")
+            raise LogError(
+                f"{log.name} has no sightings of range and bearing, so the noise of the sensor cannot be estimated"
+            )
         if source == "truth" and not log.identified:
             raise LogError(
                 f"{log.name} has sightings without landmark ids, which cannot be compared with its true map; estimate its "

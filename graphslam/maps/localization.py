@@ -410,8 +410,8 @@ def _no_fix(
     count = len(np.unique(points.ids))
     if count == 1 and not points.oriented.any():
         return GraphError(
-            f"{log.name} sees only landmark {points.ids[0]} of the map, and one landmark without a heading does not say where "
-            "the robot is: two are needed"
+            f"{log.name} sees only landmark {points.ids[0]} of the map, and one landmark without a heading does not say "
+            "where the robot is: two are needed"
         )
     what = f"{len(points.ids)} sightings of {listed('landmark', np.unique(points.ids).tolist(), most=4)} of the map"
     cause = _cause(log, landmarks, found)
