@@ -409,22 +409,23 @@ def _no_fix(
     """The reason why no place in the map fits, with the likely cause."""
     count = len(np.unique(points.ids))
     if count == 1 and not points.oriented.any():
-        which = listed("landmark", [int(points.ids[0])])
-        reason = "one landmark without a heading does not say where the robot is: two are needed"
-        return GraphError(f"{log.name} sees only {which} of the map, and {reason}")
+        return GraphError(
+            f"{log.name} sees only landmark {points.ids[0]} of the map, and one landmark without a heading does not say "
+            "where the robot is: two are needed"
+        )
     what = f"{len(points.ids)} sightings of {listed('landmark', np.unique(points.ids).tolist(), most=4)} of the map"
     cause = _cause(log, landmarks, found)
     if not cause and matches and matches[0].covariance[2, 2] >= OPEN**2 and odds_of(matches) > LEAST:
         wide = np.degrees(matches[0].covariance[2, 2] ** 0.5)
-        heading = f"where {log.name} heads at its first pose (standard deviation {wide:.0f} degrees)"
-        return GraphError(f"{what} leave open {heading}; more sightings of other landmarks are needed")
+        heading = f"leave open where {log.name} heads at its first pose (standard deviation {wide:.0f} degrees)"
+        return GraphError(f"{what} {heading}; more sightings of other landmarks are needed")
     if not cause and len(matches) > 1 and odds_of(matches[:1]) > SURE > odds_of(matches):
         places = " and ".join(f"({m.pose[0]:.2f}, {m.pose[1]:.2f}) m" for m in matches[:2])
-        alike = f"several first poses of {log.name} alike, such as {places}"
-        return GraphError(f"{what} fit {alike}; more sightings are needed")
+        alike = f"fit several first poses of {log.name} alike, such as {places}"
+        return GraphError(f"{what} {alike}; more sightings are needed")
     if not cause and found and found[0].fits > found[0].contradict and found[0].evidence < 0:
-        odds = f"no better than that of another place (odds {np.exp(found[0].evidence):.2g})"
-        return GraphError(f"{what} fit it {odds}: is it that, or are more sightings of other landmarks needed?")
+        odds = f"{what} fit it no better than that of another place (odds {np.exp(found[0].evidence):.2g})"
+        return GraphError(f"{odds}: is it that, or are more sightings of other landmarks needed?")
     best = int(np.sum(matches[0].agree)) if matches else 0
     cause = cause or "; is it the map of another place, are ids misread, or has the noise of the sensor another size?"
     return GraphError(f"{what} fit no first pose of {log.name}: at the best place {best} of them agree{cause}")

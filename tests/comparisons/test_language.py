@@ -169,7 +169,7 @@ PUT_TOGETHER = {
     "the sensor looks about", "the times were probably rounded to seconds", "with the time and numbers of the row before",
     "with the time of the row before and other numbers", "the truth covers no pose",
     "but maximum-likelihood where a log has no ids", "a log and a file to write", "give at most a log and a file to write",
-    "or at least", "has no sightings at all within max_range", "landmarks in sightings of which some have no id",
+    "or at least", "has no sightings at all within max_range",
     "further return is ambiguous by a factor of", "further returns are ambiguous by a factor of",
     "alternatives that had not settled when they were compared", "but were not tried because of the limit on tries",
     "weight='marginal' has no effect", "does not use the partial sightings of the log",
