@@ -262,14 +262,14 @@ def _on_one_plane(logs: Sequence[Log]) -> list[Log]:
     """The logs with positions east and north of one datum, the first one, in place of the first fix of each log."""
     datum, moved = None, list(logs)
     for k, log in enumerate(logs):
-        own = None if log.positions is None else datum_of(log.notes)
+        if log.positions is None or (own := datum_of(log.notes)) is None:
+            continue
         datum = own if datum is None else datum
-        if log.positions is not None and own is not None and not np.array_equal(own, datum):
-            places = log.positions.places.copy()
-            places[:, :2] = on_plane_of(datum, places[:, :2], own)
+        if not np.array_equal(own, datum):
+            xy, rest = log.positions.places[:, :2], log.positions.places[:, 2:]
+            positions = replace(log.positions, places=np.hstack([on_plane_of(datum, xy, own), rest]))
             others = (note for note in log.notes if datum_of([note]) is None)
-            notes = (*others, f"its {datum_note(datum, 'an earlier log')}")
-            moved[k] = log.replace(positions=replace(log.positions, places=places), notes=notes)
+            moved[k] = log.replace(positions=positions, notes=(*others, f"its {datum_note(datum, 'an earlier log')}"))
     return moved
 
 
