@@ -245,9 +245,9 @@ def _compared_with_estimate(log: Log, motion: MotionModel, sensor: SensorModel) 
     if left := [name for name, value in away if abs(value - p.priors[name][0]) > DIFFERENT * p.deviations[name]]:
         shown.append(f"{p.sentence_of(left)} after its corrections")
     kinds = {
-        "scales of the odometry that differ between two directions": found.uneven,
-        "bearings that are off by a part of their size": found.lens,
-        "a sensor that was turned during the drive": found.turns,
+        "scales of the odometry that differ between two directions, which files do not correct": found.uneven,
+        "bearings that are off by a part of their size, which files do not correct": found.lens,
+        "a sensor that was turned during the drive, which files do not correct": found.turns,
     }
     shown += [kind for kind, errors in kinds.items() if errors]
     # standard deviations of the usual motion, (x, y, heading), and which of them differ
