@@ -186,8 +186,8 @@ def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = 
 
     Variances are the means of those of the logs, of which the ones that bring no models count with the book's; so are those
     of the biases that were taken out of them (`Log.uncertain`), zero where there are none. Where the sensors sit in
-    different places, sightings are given as from the mean of these. Ranges or bearings alone cannot be: the mean is then that
-    of the logs that have any.
+    different places, sightings are given as from the mean of these. Ranges or bearings alone cannot be moved so: where
+    there are any, the place is the mean of those of the logs that have them.
 
     Args:
         logs: of one place.
