@@ -176,7 +176,7 @@ def map_states(
     seen = set(ids) & set(known)
     if known and not seen:
         sees, has = (
-            checks.listed("landmark", sorted(each), most=4) if each else "none by its id" for each in (ids, known)
+            checks.listed("landmark", sorted(each), most=4) if each else "none with an id" for each in (ids, known)
         )
         cause = "is it the map of another place, or are the ids numbered otherwise?"
         raise GraphError(f"{log.name} sees no landmark of the map: it sees {sees}, and the map has {has}; {cause}")

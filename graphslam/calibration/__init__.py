@@ -315,8 +315,8 @@ def _with_true_motion(found: Calibration, motion: MotionModel, moved: VarianceFi
     }
     longer: dict[str, Any] = {name: getattr(found.sensor, name) * factor for name in LENGTHS}
     note = (
-        "no true landmark is known to be seen with range and bearing: the numbers of the motion, with wheel_scale and "
-        "turn_rate_bias, are from the true poses, and those of the sensor from residuals"
+        "no landmark whose true place is known is seen with range and bearing: the numbers of the motion, with wheel_scale "
+        "and turn_rate_bias, are from the true poses, and those of the sensor from residuals"
     )
     return replace(
         found,

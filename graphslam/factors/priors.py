@@ -54,11 +54,12 @@ class PriorFactor(Factor):
         keys = listed_keys("PriorFactor", keys)
         kinds, held = kinds_of(keys, points), checks.finite_numbers("values", values, (len(keys), 3))
         most = [KINDS[kind][0] for kind in kinds]
-        used = most
-        if coordinates is not None:
-            used = [int(n) for n in checks.finite_numbers("coordinates", coordinates, (len(keys),)).tolist()]
-        if any(n not in (2, 3) or n > m for n, m in zip(used, most)):
+        given = (
+            most if coordinates is None else checks.finite_numbers("coordinates", coordinates, (len(keys),)).tolist()
+        )
+        if any(n not in (2, 3) or n > m for n, m in zip(given, most)):
             raise OptionError(f"coordinates must be 2 or 3 for each key, and 2 for points, not {quoted(coordinates)}")
+        used = [int(n) for n in given]
         checks.check_heading("values", held[np.array(used) == 3, 2])
         omega = positive_definite(information, sum(used))
         # which of the three coordinates of each key the prior is about, and which it has

@@ -257,9 +257,10 @@ class RelativeEdgesFactor(Factor):
         # a kernel without a width takes that of the dimension
         of_rows = {d: code_and_width(edge_kernel and edge_kernel.of_dimension(d)) for d in (2, 3)}
         code, widths = of_rows[3][0], np.array([of_rows[d][1] for d in rows.tolist()])
-        robust = np.ones(len(i), dtype=bool) if robust is None else np.array(robust)
-        if robust.shape != i.shape or robust.dtype != bool:
+        flags = np.ones(len(i), dtype=bool) if robust is None else checks.array_of("robust", robust)
+        if flags.shape != i.shape or not np.isin(flags, (0, 1)).all():
             raise OptionError(f"robust must be {len(i)} times True or False, once for each edge, not {quoted(robust)}")
+        robust = flags.astype(bool)
         codes = np.where(robust, code, 0)
         edges = engine.WhitenedEdges(i, j, rows, z, root, frozen, codes, widths, poses, world)
 

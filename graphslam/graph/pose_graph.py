@@ -35,7 +35,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import FormatError, named, quoted
-from ..errors.checks import WHOLE_TURN, check_choice, first
+from ..errors.checks import FOUR_TURNS, WHOLE_TURN, check_choice, first
 from ..files import number, read_text, whole, write_text
 from ..se2 import Array, compose, inverse, transform, turned_by, wrap
 
@@ -242,8 +242,13 @@ def _doubts(lines: _Lines, information: Array, root: bool) -> tuple[str, ...]:
     and a covariance read as information claims it nearly always. Edges without information on the heading do not count.
     """
     notes = []
-    angles = [(edge.line, edge.numbers[k]) for kind, k in _ANGLES.items() for edge in lines.edges[kind]]
-    beyond = sorted(each for each in angles if abs(each[1]) > WHOLE_TURN)
+    beyond = sorted(
+        (edge.line, edge.numbers[k])
+        for kind, k in _ANGLES.items()
+        for edge in lines.edges[kind]
+        # headings of priors may count turns
+        if abs(edge.numbers[k]) > (FOUR_TURNS if kind == "prior" else WHOLE_TURN)
+    )
     if len(beyond) > 1:
         notes.append(
             f"{len(beyond)} edges, the first one in line {beyond[0][0]}, turn by more than 2 pi "

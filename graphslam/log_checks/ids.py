@@ -194,7 +194,9 @@ def ids_of(log: Log) -> Iterator[Finding]:
     if (same := twice & np.all(np.diff(log.sightings[order], axis=0) == 0, axis=1)).any():
         count, k = int(np.sum(same)), int(np.argmax(same))
         again = f"{count} of {len(same) + 1} sightings repeat another one of the same step, landmark and numbers"
-        which = f"the first of landmark {'without an id' if ids[k] == UNIDENTIFIED else ids[k]} at step {steps[k]}"
+        which = f"the first of landmark {ids[k]} at step {steps[k]}"
+        if ids[k] == UNIDENTIFIED:
+            which = f"the first without an id at step {steps[k]}"
         cause = "rows were probably written twice, and these sightings count twice"
         yield Finding("doubled sightings", f"{again}, {which}: {cause}")
     apart = twice & (ids[1:] != UNIDENTIFIED) & (np.abs(np.diff(ranges)) > 0.2 * ranges[1:])

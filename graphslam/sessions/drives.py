@@ -65,6 +65,8 @@ from ..solvers.solve import solve
 UNLIKE = 2.0
 #: a variance that is as good as zero
 TINY = 1e-300
+#: places of the sensor [m] that are as good as one where no range tells what is small
+LEAST_APART = 1e-3
 #: the same where the noise contains an unknown factor for correlated errors, which differs between drives of one sensor
 UNLIKE_WITH_CORRELATIONS = 4.0
 #: a landmark has surely moved from this square of its shift on, and where both logs saw it so often
@@ -184,8 +186,8 @@ def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = 
 
     Variances are the means of those of the logs, of which the ones that bring no models count with the book's; so are those
     of the biases that were taken out of them (`Log.uncertain`), zero where there are none. Where the sensors sit in
-    different places, sightings are given as from the mean of these. Ranges or bearings alone cannot be: the mean is then that
-    of the logs that have any.
+    different places, sightings are given as from the mean of these. Ranges or bearings alone cannot be moved so: where
+    there are any, the place is the mean of those of the logs that have them.
 
     Args:
         logs: of one place.
@@ -204,7 +206,7 @@ def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = 
 
     epsilon = float(np.mean([each.epsilon for each in motions]))
     motion = MotionModel(**squares([*map(vars, motions)]), epsilon=epsilon)
-    alone = [own.offset for log, own in zip(logs, sensors) if log.partial_sightings is not None]
+    alone = [own.offset for log, own in zip(logs, sensors) if log.partial_sightings]
     ahead, left = np.mean(alone or [each.offset for each in sensors], axis=0).tolist()
     least, most, views = zip(*(each.limits for each in sensors))
     sensor = SensorModel(**squares([*map(vars, sensors)]), offset=(ahead, left))
@@ -234,9 +236,13 @@ def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = 
 
 def _check_single_numbers(log: Log, own: SensorModel, common: SensorModel) -> None:
     """Raise `LogError` where ranges or bearings alone would be given as from another place, farther than their noise."""
+    if not (single := log.partial_sightings):
+        return
     apart = float(np.hypot(*np.subtract(own.offset, common.offset)))
-    noise = float(np.sqrt(np.median(own.Q(log.sightings)[:, 0, 0]))) if len(log.sightings) else 0.0
-    if log.partial_sightings is not None and apart > noise:
+    ranges = np.append(log.sightings[:, 0], single.ranges[single.ranged])
+    # bearings alone do not tell how far landmarks are
+    noise = float(np.median(np.hypot(own.range_rate * ranges, own.range_std))) if len(ranges) else LEAST_APART
+    if apart > noise:
         raise LogError(
             f"{log.name} has ranges or bearings alone, which cannot be given as from another place of the sensor: its own is "
             f"{apart:.2g} m from the mean of the logs. Solve it in the map of the others (map=)"

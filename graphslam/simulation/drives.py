@@ -210,7 +210,7 @@ class Drive:
             kept &= (times < begin) | (times > begin + self.silence)
         if np.sum(kept) < 2:
             raise OptionError(
-                f"a drive of {self.duration:g} s has {np.sum(kept)} rows of odometry, and motion takes two: choose a longer "
+                f"a drive of {self.duration:g} s must have two rows of odometry, but has {np.sum(kept)}: choose a longer "
                 "duration, a higher odometry_rate or shorter silences"
             )
         controls, p = path.odometry(times), self.parameters

@@ -233,7 +233,7 @@ def _drive(
     bias = rng.normal(1.0, faults.velocity_bias_std, 2) if faults.velocity_bias_std > 0 else np.ones(2)
 
     def wait(mean: float) -> float:
-        """The time, or the way, until what happens once in this mean; 0 stands for never."""
+        """The time, or the distance, to the next event, of which this is the mean; infinite for a mean of 0."""
         return rng.exponential(mean) if 0 < mean < inf else inf
 
     per_kick = 1 / faults.kicks_per_metre if faults.kicks_per_metre > 0 else inf

@@ -1,8 +1,8 @@
-"""Whether a solution contradicts what it takes for right: the map, absolute positions, relations, and the odometry.
+"""Whether a solution contradicts what it takes for right: the map, stated covariances, and the odometry.
 
-The map and the positions are checked by score tests. Let s be the numbers by which they may be wrong, zero where they are
-right, and J the derivative of the residuals e by s. With W the information of e, B the Jacobian by the nodes, Omega the
-information matrix of the graph, and M the sum of B' W J over the measurements,
+The map is checked by score tests, as are the lever and the frame of positions in `position_errors`. Let s be the numbers by
+which they may be wrong, zero where they are right, and J the derivative of the residuals e by s. With W the information of
+e, B the Jacobian by the nodes, Omega the information matrix of the graph, and M the sum of B' W J over the measurements,
 
     g = - sum J' W e + M' Omega^-1 sum B' W e,     S = sum J' W J - M' Omega^-1 M,     s = S^-1 g,     its covariance S^-1:
 

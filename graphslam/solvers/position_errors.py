@@ -6,11 +6,11 @@ the sum of B' W e over all measurements is zero at the solution. Where s is larg
 step repeated. Where the heading does not change, S is small. In a map, positions of another frame are off by s in its axes,
 J = I.
 
-**Errors that last**, as those of satellite receivers. The covariances of positions are those of independent errors. Where the
-error of a position is much that of the one before,
-n positions say no more than one, and covariances with independent errors are too small by this factor. The variances of the
-errors of single positions, of those that last over L positions each, of motions and of sightings follow from the residuals
-as in `scan_errors`. Over times that are long against the errors, positions then are as good as independent ones with
+**Errors that last**, as those of satellite receivers. The covariances of positions are those of independent errors. Where
+the error of a position is nearly that of the one before, n positions say no more than one, and covariances with independent
+errors are too small by this factor. The variances of the errors of single positions, of those that last over L positions
+each, of motions and of sightings follow from the residuals as in `scan_errors`. Over times that are long against the errors,
+positions then are as good as independent ones with
 
     m = sum over L of L theta_L
 

@@ -25,7 +25,6 @@ from graphslam import (
     simulate,
     solve,
 )
-from graphslam.log import UNIDENTIFIED
 from graphslam.log.continuous_time import with_poses_every
 from graphslam.metrics import ate
 from graphslam.se2 import between
@@ -224,25 +223,6 @@ def test_the_place_of_the_sensor_is_that_of_the_logs_with_single_numbers(alone: 
     ]
     common = with_common_noise(logs)
     assert [log.sensor and log.sensor.offset for log in common] == [(offset, 0.0)] * 2
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "joined"),
-    [
-        ("cone", None, ["cone", ""]),
-        (None, 7, [UNIDENTIFIED, 7]),
-        (7, "cone", ["7", "cone"]),
-        ("cone", UNIDENTIFIED, ["cone", ""]),
-    ],
-)
-def test_classes_of_joined_logs_are_kept(first: str | int | None, second: str | int | None, joined: list) -> None:
-    """They are unknown where a log has none."""
-    logs = [
-        log if each is None else log.replace(classes=[each] * len(log.steps))
-        for log, each in zip(drives(2), (first, second))
-    ]
-    found = join_logs(logs).log.classes
-    assert found is not None and [found[0], found[-1]] == joined
 
 
 def test_biases_taken_out_of_several_logs_are_as_uncertain_as_the_mean_of_theirs_in_any_order() -> None:

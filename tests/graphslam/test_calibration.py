@@ -306,7 +306,7 @@ def test_true_poses_without_a_map() -> None:
         assert found.numbers[name] == whole.numbers[name], name
     assert abs(found.range_scale - 1.04) < 4 * found.errors["range_scale"] < 0.03
     assert (found.turn_scale, found.curvature_bias) == (1.0, 0.0) and found.source == "residuals"
-    (note,) = [note for note in found.notes if "true landmark" in note]
+    (note,) = [note for note in found.notes if "true place" in note]
     assert "with wheel_scale and turn_rate_bias, are from the true poses" in note
     # without headings nothing is taken from the truth, and a note says so
     blind = calibrate(log.replace(true_landmarks=None, true_poses=log.true_poses * [1, 1, np.nan]))
@@ -336,7 +336,7 @@ def test_sightings_without_ids() -> None:
         )
     assert "with 13 landmarks that were found" in found.notes[0]
     # true poses count, but landmarks that were found have no true positions
-    assert "no true landmark is known to be seen" in " ".join(calibrate(without_ids(log)).notes)
+    assert "no landmark whose true place is known is seen" in " ".join(calibrate(without_ids(log)).notes)
     with pytest.raises(LogError, match="without landmark ids"):
         calibrate(without_ids(log), source="truth")
 

@@ -261,8 +261,8 @@ def test_whoever_knows_noise_and_ids_finds_the_biases(precise):
         ({"parameters": {"wheels": 1.0}}, "there is no 'wheels'"),
         ({"sensor": replace(SENSORS["camera"], max_range=np.inf)}, "sensor needs a max_range"),
         ({"parameters": {"wheel_scale": "1"}}, "wheel_scale must be a finite number, not '1'"),
-        ({"duration": 10.0, "odometry_rate": 0.05}, "a drive of 10 s has 1 rows of odometry, and motion takes two"),
-        ({"duration": 10.0, "silence": 20.0, "silences": 1}, "has 0 rows of odometry"),
+        ({"duration": 10.0, "odometry_rate": 0.05}, "a drive of 10 s must have two rows of odometry, but has 1"),
+        ({"duration": 10.0, "silence": 20.0, "silences": 1}, "but has 0"),
     ],
 )
 def test_impossible_settings_are_refused(settings, message):

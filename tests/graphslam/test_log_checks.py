@@ -176,7 +176,7 @@ def test_a_doubled_sighting_without_an_id_is_said_to_have_none(sample):
     k = int(np.argmax(np.diff(sample.steps) == 0))
     ids[k : k + 2], z[k + 1] = UNIDENTIFIED, z[k]
     found = message(sample.replace(landmarks=ids, sightings=z), "doubled sightings")
-    assert f"the first of landmark without an id at step {sample.steps[k]}" in found
+    assert f"the first without an id at step {sample.steps[k]}" in found
 
 
 def message(log, check):

@@ -196,7 +196,7 @@ def test_a_map_without_landmarks_is_refused():
         map_states(second(2), MAP.among([]))
 
 
-@pytest.mark.parametrize(("ids", "sees"), [(1000, "landmarks 1000, 1001"), (None, "none by its id")])
+@pytest.mark.parametrize(("ids", "sees"), [(1000, "landmarks 1000, 1001"), (None, "none with an id")])
 def test_a_log_without_landmarks_of_the_map_is_refused(ids, sees):
     log = second(2)
     other = np.full(len(log.steps), UNIDENTIFIED) if ids is None else log.landmarks + ids

@@ -433,6 +433,14 @@ def test_bearings_in_degrees_are_said(tmp_path):
         Graph.from_g2o(written(tmp_path, SQUARE + seen))
 
 
+@pytest.mark.parametrize(("turn", "said"), [(2 * np.pi, False), (90, True)])
+def test_headings_of_priors_may_count_turns(tmp_path, turn, said):
+    priors = "".join(f"EDGE_PRIOR_SE2 {k} 0 0 {turn * (k + 1):.6f} 4 0 0 4 0 4\n" for k in range(2))
+    with warnings.catch_warnings(record=True, action="always") as caught:
+        Graph.from_g2o(written(tmp_path, SQUARE + priors))
+    assert ["are angles in degrees" in str(each.message) for each in caught] == [True] * said
+
+
 def test_priors_without_information_on_the_heading_leave_it_to_an_anchor(tmp_path):
     graph = Graph.from_g2o(written(tmp_path, SQUARE + "EDGE_PRIOR_SE2 0 0.1 0 0.3 4 0 0 4 0 0\n"))
     np.testing.assert_allclose(solve(graph).poses[0], [0.1, 0, 0], atol=1e-9)

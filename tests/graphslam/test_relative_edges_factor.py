@@ -97,6 +97,7 @@ def test_both_kinds_have_the_same_optimum():
         ({"second": [0, 2]}, "places of keys"),
         ({"robust": [True], "edge_kernel": "cauchy"}, "robust must be 2 times True or False"),
         ({"robust": ["no", "no"]}, "robust must be"),
+        ({"robust": [[True], [True, False]]}, "robust must be"),
         ({"points": 0.5}, "points must be a whole number"),
         ({"frame": "world", "at": [0, 90]}, "the heading of at is 90 rad"),
     ],

@@ -287,7 +287,7 @@ def test_their_noise_is_calibrated(number: str) -> None:
     assert getattr(found.sensor, name) == pytest.approx(value, rel=0.2)
     assert found.counts == {"motion": 399, "sensor": 200} and found.apply(log).sensor == found.sensor
     # the motion is that of the truth, and no landmark is known to be seen whole
-    assert "no true landmark is known to be seen with range and bearing" in found.notes[0]
+    assert "no landmark whose true place is known is seen with range and bearing" in found.notes[0]
 
 
 @pytest.mark.parametrize("name", ["poses", "landmarks", "every", "lanes"])

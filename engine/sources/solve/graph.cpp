@@ -16,7 +16,7 @@ Graph::Graph(Index nodes, std::vector<Index> points) : nodes_(nodes), points_(st
 }
 
 void Graph::check_node(Index node) const {
-    require(node >= 0 && node < nodes_, "an edge, an anchor or a point is a node that the graph does not have");
+    require(node >= 0 && node < nodes_, "an edge, an anchor or the list of points names a node that the graph lacks");
 }
 
 void Graph::check_state(std::span<const double> state) const {
