@@ -49,7 +49,7 @@ from ..log.cells import MOVED_BETWEEN, Doubt
 from ..log.continuous_time import CLOCK, nearest_of, with_poses_at
 from ..log.geometry import datum_note, datum_of, on_plane_of
 from ..log.join import end_to_end, joined_rows
-from ..log.measurements import PoseRelations, length_of
+from ..log.measurements import PartialSightings, PoseRelations, length_of
 from ..log.rows import robot_class
 from ..maps.constellation import Constellations, Merged, match
 from ..maps.landmark_map import LandmarkMap
@@ -65,8 +65,6 @@ from ..solvers.solve import solve
 UNLIKE = 2.0
 #: a variance that is as good as zero
 TINY = 1e-300
-#: places of the sensor [m] that are as good as one where no range tells what is small
-LEAST_APART = 1e-3
 #: the same where the noise contains an unknown factor for correlated errors, which differs between drives of one sensor
 UNLIKE_WITH_CORRELATIONS = 4.0
 #: a landmark has surely moved from this square of its shift on, and where both logs saw it so often
@@ -204,8 +202,7 @@ def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = 
         names = dict.fromkeys(name for row in rows for name in row if name not in (*SensorModel.GEOMETRY, "epsilon"))
         return {name: float(np.sqrt(np.mean([row.get(name, 0.0) ** 2 for row in rows]))) for name in names}
 
-    epsilon = float(np.mean([each.epsilon for each in motions]))
-    motion = MotionModel(**squares([*map(vars, motions)]), epsilon=epsilon)
+    motion = MotionModel(**squares([*map(vars, motions)]), epsilon=float(np.mean([each.epsilon for each in motions])))
     alone = [own.offset for log, own in zip(logs, sensors) if log.partial_sightings]
     ahead, left = np.mean(alone or [each.offset for each in sensors], axis=0).tolist()
     least, most, views = zip(*(each.limits for each in sensors))
@@ -217,7 +214,8 @@ def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = 
     factors = np.array(inflations if known else np.ones(len(logs)), dtype=float)
     limit = UNLIKE if known else UNLIKE_WITH_CORRELATIONS
     for k, (log, own) in enumerate(zip(logs, sensors)):
-        _check_single_numbers(log, own, sensor)
+        if log.partial_sightings:
+            _check_single_numbers(log, log.partial_sightings, own, sensor)
         robot = np.zeros((len(log.sightings), 3))
         seen = log.sightings if own.offset == sensor.offset else sensor.h(robot, own.h_inverse(robot, log.sightings))
         variances = [np.diagonal(model.Q(log.sightings), axis1=1, axis2=2) for model in sensors]
@@ -234,15 +232,11 @@ def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = 
     return common
 
 
-def _check_single_numbers(log: Log, own: SensorModel, common: SensorModel) -> None:
-    """Raise `LogError` where ranges or bearings alone would be given as from another place, farther than their noise."""
-    if not (single := log.partial_sightings):
-        return
-    apart = float(np.hypot(*np.subtract(own.offset, common.offset)))
+def _check_single_numbers(log: Log, single: PartialSightings, own: SensorModel, common: SensorModel) -> None:
+    """Raise `LogError` where the places differ by more than the noise of the ranges, or than 1 mm where there is none."""
     ranges = np.append(log.sightings[:, 0], single.ranges[single.ranged])
-    # bearings alone do not tell how far landmarks are
-    noise = float(np.median(np.hypot(own.range_rate * ranges, own.range_std))) if len(ranges) else LEAST_APART
-    if apart > noise:
+    noise = float(np.median(np.hypot(own.range_rate * ranges, own.range_std))) if len(ranges) else 1e-3
+    if (apart := float(np.hypot(*np.subtract(own.offset, common.offset)))) > noise:
         raise LogError(
             f"{log.name} has ranges or bearings alone, which cannot be given as from another place of the sensor: its own is "
             f"{apart:.2g} m from the mean of the logs. Solve it in the map of the others (map=)"
