@@ -65,8 +65,6 @@ from ..solvers.solve import solve
 UNLIKE = 2.0
 #: a variance that is as good as zero
 TINY = 1e-300
-#: places of the sensor [m] that are as good as one where no range tells what is small
-LEAST_APART = 1e-3
 #: the same where the noise contains an unknown factor for correlated errors, which differs between drives of one sensor
 UNLIKE_WITH_CORRELATIONS = 4.0
 #: a landmark has surely moved from this square of its shift on, and where both logs saw it so often
@@ -236,13 +234,10 @@ def with_common_noise(logs: Sequence[Log], inflations: Sequence[float | None] = 
 
 def _check_single_numbers(log: Log, own: SensorModel, common: SensorModel) -> None:
     """Raise `LogError` where ranges or bearings alone would be given as from another place, farther than their noise."""
-    if not (single := log.partial_sightings):
-        return
-    apart = float(np.hypot(*np.subtract(own.offset, common.offset)))
-    ranges = np.append(log.sightings[:, 0], single.ranges[single.ranged])
-    # bearings alone do not tell how far landmarks are
-    noise = float(np.median(np.hypot(own.range_rate * ranges, own.range_std))) if len(ranges) else LEAST_APART
-    if apart > noise:
+    apart, single = float(np.hypot(*np.subtract(own.offset, common.offset))), log.partial_sightings
+    ranges = log.sightings[:, 0] if single is None else np.append(log.sightings[:, 0], single.ranges[single.ranged])
+    # bearings alone do not tell how far landmarks are: for them a millimetre is as good as nothing
+    if single and apart > (np.median(np.hypot(own.range_rate * ranges, own.range_std)) if len(ranges) else 1e-3):
         raise LogError(
             f"{log.name} has ranges or bearings alone, which cannot be given as from another place of the sensor: its own is "
             f"{apart:.2g} m from the mean of the logs. Solve it in the map of the others (map=)"
@@ -272,8 +267,7 @@ def _on_one_plane(logs: Sequence[Log]) -> list[Log]:
             continue
         datum = own if datum is None else datum
         if not np.array_equal(own, datum):
-            xy, rest = log.positions.places[:, :2], log.positions.places[:, 2:]
-            positions = replace(log.positions, places=np.hstack([on_plane_of(datum, xy, own), rest]))
+            positions = replace(log.positions, places=on_plane_of(datum, log.positions.places, own))
             others = (note for note in log.notes if datum_of([note]) is None)
             moved[k] = log.replace(positions=positions, notes=(*others, f"its {datum_note(datum, 'an earlier log')}"))
     return moved
