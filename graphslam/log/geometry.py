@@ -52,8 +52,9 @@ def local_plane(fixes: Array, datum: Array, height: float = 0.0) -> Array:
 
 
 def on_plane_of(datum: Array, places: Array, own: Array) -> Array:
-    """Places (N, 2) [m] east and north of their own datum as those of another one."""
-    return np.asarray((_earth(own) + places @ _axes(own) - _earth(datum)) @ _axes(datum).T)
+    """Places (N, 2) [m] east and north of their own datum as those of another one; further columns stay."""
+    xy = (_earth(own) + places[:, :2] @ _axes(own) - _earth(datum)) @ _axes(datum).T
+    return np.column_stack([xy, places[:, 2:]])
 
 
 def datum_note(datum: Array, source: str) -> str:

@@ -266,8 +266,7 @@ def _on_one_plane(logs: Sequence[Log]) -> list[Log]:
             continue
         datum = own if datum is None else datum
         if not np.array_equal(own, datum):
-            xy, rest = log.positions.places[:, :2], log.positions.places[:, 2:]
-            positions = replace(log.positions, places=np.hstack([on_plane_of(datum, xy, own), rest]))
+            positions = replace(log.positions, places=on_plane_of(datum, log.positions.places, own))
             others = (note for note in log.notes if datum_of([note]) is None)
             moved[k] = log.replace(positions=positions, notes=(*others, f"its {datum_note(datum, 'an earlier log')}"))
     return moved
