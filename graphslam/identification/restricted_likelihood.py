@@ -31,7 +31,6 @@ import numpy as np
 from ..errors import GraphError
 from ..log import Log
 from ..se2 import Array
-from .corrections import corrected_sensor
 from .declared import KINDS, PLACE
 from .odometry import Edges
 from .unknowns import DEGREES_MOTIONS, DEGREES_SIGHTINGS, LONGEST, PRIORS, SPREAD, Unknowns
@@ -218,9 +217,6 @@ def scores(solved: Unknowns, kind: int, D: Array) -> tuple[Array, Array, Array]:
 #: least 0.22 with a sensor 0.58 m away or more; lasting errors that look like a wrong place gain up to 0.15 on whole logs,
 #: and 0.30 on one half of a log (docs/decisions.md)
 ANYWHERE, GAINED = 2.0, 0.2
-#: a place that is nearer to the believed one [m] fits the usual prior, too: a likelihood that is larger there is that of a
-#: better minimum, as with slow odometry (4 of 8 drives gained 0.7 to 1.3 with the sensor 0.03 to 0.14 m away)
-AWAY = 0.25
 #: rounds of solving and improving the variances with the usual prior, which start near their end, and with the wide one
 ROUNDS = (4, 8)
 
@@ -234,8 +230,7 @@ def is_elsewhere(log: Log, start: Unknowns) -> bool:
     try:
         usual = fit(Unknowns(log, log.landmarks, start.sensor, start), ROUNDS[0])[0]
         free = fit(with_sensor_anywhere(usual), ROUNDS[1])[0]
-        away = np.hypot(*np.subtract(corrected_sensor(free.parameters).offset, start.sensor.offset))
-        return bool(away > AWAY) and gain_over(free, usual) > GAINED * len(usual.seen)
+        return gain_over(free, usual) > GAINED * len(usual.seen)
     except (GraphError, np.linalg.LinAlgError):
         # sightings that do not tell the place are no reason to doubt it
         return False
