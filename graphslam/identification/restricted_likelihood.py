@@ -12,7 +12,7 @@ the logarithms of the variances, with a normal prior: a variance that the log do
 
 Source: Gilmour, Thompson and Cullis, *Average information REML*, Biometrics 51(4), 1995.
 
-`is_elsewhere` finds a sensor that is metres from where it is believed to be, as the laser of a car whose poses are those of
+`better_start` finds a sensor that is metres from where it is believed to be, as the laser of a car whose poses are those of
 the rear axle. The prior of the sensor's place (`PRIORS`) is a few centimetres wide, because lasting errors of a sensor look
 like a wrong place. Where the sensor is metres away, this prior ends at a wrong minimum: the sensor near its believed place,
 its own motion about the robot as slip, and a turned sensor. With a wide prior the same problem moves to the right one. Both
@@ -31,6 +31,7 @@ import numpy as np
 from ..errors import GraphError
 from ..log import Log
 from ..se2 import Array
+from .corrections import corrected_sensor
 from .declared import KINDS, PLACE
 from .odometry import Edges
 from .unknowns import DEGREES_MOTIONS, DEGREES_SIGHTINGS, LONGEST, PRIORS, SPREAD, Unknowns
@@ -217,12 +218,17 @@ def scores(solved: Unknowns, kind: int, D: Array) -> tuple[Array, Array, Array]:
 #: least 0.22 with a sensor 0.58 m away or more; lasting errors that look like a wrong place gain up to 0.15 on whole logs,
 #: and 0.30 on one half of a log (docs/decisions.md)
 ANYWHERE, GAINED = 2.0, 0.2
+#: the usual prior allows a place that is nearer to the believed one [m]
+AWAY = 0.25
 #: rounds of solving and improving the variances with the usual prior, which start near their end, and with the wide one
 ROUNDS = (4, 8)
 
 
-def is_elsewhere(log: Log, start: Unknowns) -> bool:
-    """Whether a log of few, nearly independent sightings shows that the sensor is far from its believed place.
+def better_start(log: Log, start: Unknowns) -> Unknowns | None:
+    """Where to begin again, if a log of few, nearly independent sightings shows a sensor far from its believed place.
+
+    With the wide prior the search is longer, and may only have found a better minimum. If the place is near, the usual prior
+    reaches that, too, and is the one to begin with.
 
     Args:
         start: a problem of the same drive, solved with the usual prior.
@@ -230,10 +236,13 @@ def is_elsewhere(log: Log, start: Unknowns) -> bool:
     try:
         usual = fit(Unknowns(log, log.landmarks, start.sensor, start), ROUNDS[0])[0]
         free = fit(with_sensor_anywhere(usual), ROUNDS[1])[0]
-        return gain_over(free, usual) > GAINED * len(usual.seen)
+        if gain_over(free, usual) <= GAINED * len(usual.seen):
+            return None
+        moved = np.subtract(corrected_sensor(free.parameters).offset, start.sensor.offset)
+        return free if np.hypot(*moved) > AWAY else fit(usual, ROUNDS[1])[0]
     except (GraphError, np.linalg.LinAlgError):
         # sightings that do not tell the place are no reason to doubt it
-        return False
+        return None
 
 
 def with_sensor_anywhere(unknowns: Unknowns) -> Unknowns:

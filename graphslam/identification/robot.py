@@ -31,7 +31,7 @@ from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
 from .declared import KINDS, ParameterEstimate
 from .odometry import Odometry, sighting_times
-from .restricted_likelihood import fit, gain_over, hold_needless, is_elsewhere, numbers_on_motion, with_sensor_anywhere
+from .restricted_likelihood import better_start, fit, gain_over, hold_needless, numbers_on_motion
 from .result import (
     BOOK_NOISE,
     DEAD_RECKONING,
@@ -255,8 +255,7 @@ def _with_ids(
     sensor: SensorModel,
     rng: np.random.Generator,
     motion: MotionModel | None = None,
-    *,
-    anywhere: bool = False,
+    start: Unknowns | None = None,
 ) -> tuple[Log, Unknowns, Ids, tuple[Slip, ...]]:
     """The log with only its sightings with ids, the solution with the landmarks by their ids, these ids checked, and slips.
 
@@ -264,16 +263,18 @@ def _with_ids(
 
     Args:
         motion: the noise of the motion is this, and that of the sensor that of ``sensor``. Default: both are estimated.
-        anywhere: the sensor may be metres from its believed place.
+        start: begin from this solution of the drive, and with its priors.
     """
     drive = _of_sightings(log.with_sightings(log.landmarks != UNIDENTIFIED))
-    drive, local, doubtful, alone, slips = _local(drive, sensor, motion, anywhere)
+    drive, local, doubtful, alone, slips = _local(drive, sensor, motion, start)
     fewer = _at_most(drive.with_sightings(~doubtful), MOST)
     first = _joined(fewer, sensor, local, ROUNDS[1])[0]
-    if motion is None and not anywhere and is_elsewhere(_of_sightings(_sparse(fewer)[0]), first):
+    if motion is None and start is None:
         # before the ids are checked, because a wrong place makes right ids look wrong
-        drive, first, ids, more = _with_ids(drive, sensor, rng, anywhere=True)
-        return drive, first, ids, slips + more
+        start = better_start(_of_sightings(_sparse(fewer)[0]), first)
+        if start is not None:
+            drive, first, ids, more = _with_ids(drive, sensor, rng, start=start)
+            return drive, first, ids, slips + more
     return drive, first, checked_ids(drive, _everywhere(first, fewer), alone, rng), slips
 
 
@@ -333,7 +334,7 @@ def too_few(log: Log, sightings: str) -> LogError:
 
 
 def _local(
-    log: Log, sensor: SensorModel, motion: MotionModel | None, anywhere: bool
+    log: Log, sensor: SensorModel, motion: MotionModel | None, start: Unknowns | None
 ) -> tuple[Log, Unknowns, np.ndarray, np.ndarray, tuple[Slip, ...]]:
     """The log with more noise of the controls of slips, and the problem of episodes, solved; (M,) bool which sightings stand
     alone in time or contradict their episode, and which stand alone; and the slips."""
@@ -346,11 +347,11 @@ def _local(
         # single sightings are normal
         alone = np.zeros(len(log.steps), dtype=bool)
     if len(log.steps) <= MOST:
-        local = fit(_begun(log, episodes, sensor, motion, anywhere), ROUNDS[0])[0]
+        local = fit(_begun(log, episodes, sensor, motion, start), ROUNDS[0])[0]
     else:
         # noise and biases from the beginning, and with them all poses
         beginning = _beginning(log, MOST)
-        begun = _begun(beginning, episodes[: len(beginning.steps)], sensor, motion, anywhere)
+        begun = _begun(beginning, episodes[: len(beginning.steps)], sensor, motion, start)
         part = fit(begun, ROUNDS[0])[0]
         local = Unknowns(log, episodes, sensor, part)
         local.iterate(4)
@@ -366,12 +367,14 @@ def _local(
     return log, local, doubtful, alone, slips
 
 
-def _begun(log: Log, groups: np.ndarray, sensor: SensorModel, motion: MotionModel | None, anywhere: bool) -> Unknowns:
+def _begun(
+    log: Log, groups: np.ndarray, sensor: SensorModel, motion: MotionModel | None, start: Unknowns | None
+) -> Unknowns:
     """The first problem of a log; where the noise is known, it is held, and there are no biases."""
-    unknowns = Unknowns(log, groups, sensor)
+    unknowns = Unknowns(log, groups, sensor, start)
     if motion is not None:
         unknowns.hold_noise(motion, sensor)
-    return with_sensor_anywhere(unknowns) if anywhere else unknowns
+    return unknowns
 
 
 def _episodes(log: Log, pause: float) -> np.ndarray:

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from comparisons.show.language import translated
-from graphslam import Drive, Log, estimate_robot
+from graphslam import Drive, Graph, Log, estimate_robot, solve
 from graphslam.calibration import Calibration
+from graphslam.identification import robot
 from graphslam.identification.corrections import changes_within, honest_variances
 from graphslam.identification.odometry import ordinary
+from graphslam.identification.restricted_likelihood import ANYWHERE, better_start
+from graphslam.identification.unknowns import PRIORS, Unknowns
+from graphslam.metrics import ate
 from graphslam.sessions import join_logs
 
 
@@ -57,6 +63,28 @@ def test_many_scans_in_a_row_of_the_odometry_are_a_doubt() -> None:
     assert "スキャンが約10回" in translated(said, "ja")
     # as often as the sensor sees; and as fast as most odometry is
     assert doubt(1.0, 2.0) == doubt(5.0, 10.0) == doubt(20.0, 10.0) == ""
+
+
+@pytest.mark.nightly
+def test_a_better_minimum_is_no_other_place_of_the_sensor(monkeypatch) -> None:
+    """With the wide prior the search found a better end, and the sensor 0.13 m away: that prior was kept."""
+    found: list[Unknowns | None] = []
+    monkeypatch.setattr(robot, "better_start", lambda *each: found.append(better_start(*each)) or found[-1])
+    drive = Drive.random(1002)
+    motion = replace(drive.motion, sigma_omega=drive.motion.sigma_omega / drive.odometry_rate**0.5)
+    slow = replace(drive, odometry_rate=1.0, sensor_rate=20.0, motion=motion, duration=150.0)
+    log = slow.simulate()[0]
+    assert log.true_poses is not None
+    # 0.068 m with the wide prior
+    assert ate(log.true_poses, solve(Graph.from_log(estimate_robot(log).log)).poses) < 0.05
+    # its own place is 0.09 m ahead
+    estimate_robot(replace(slow, parameters={**slow.parameters, "sensor_ahead": 0.8}).simulate()[0])
+    ahead = [
+        start.parameters.deviations[start.parameters.names.index("sensor_ahead")]
+        for start in found
+        if start is not None
+    ]
+    assert ahead == [PRIORS["sensor_ahead"], ANYWHERE]
 
 
 def test_changes_within_controls_are_those_of_one_jump() -> None:
