@@ -155,6 +155,22 @@ def chained(start: ArrayLike, motions: Array) -> Array:
     return poses
 
 
+def joined_motions(motions: Array, steps: np.ndarray) -> tuple[Array, Array]:
+    """The motions (n, 3) between steps, from the first to the last, and L (T, 3, 3) of each motion (T, 3) that they join."""
+    first, count = steps[:-1], np.diff(steps)
+
+    def before(values: Array) -> Array:
+        """The sum of the earlier values of the same joined motion."""
+        total = np.cumsum(values, axis=0) - values
+        return total - np.repeat(total[first], count, axis=0)
+
+    levers = turn_matrix(before(motions[:, 2]))
+    ways = np.einsum("eij,ej->ei", levers[:, :2, :2], motions[:, :2])
+    total = np.column_stack([np.add.reduceat(ways, first), np.add.reduceat(motions[:, 2], first)])
+    levers[:, :2, 2] = perpendicular(np.repeat(total[:, :2], count, axis=0) - before(ways) - ways)
+    return total, levers
+
+
 def difference(a: ArrayLike, b: ArrayLike) -> Array:
     """a - b of poses (..., 3), the headings wrapped, or of points (..., 2)."""
     apart = np.asarray(a, dtype=float) - b

@@ -32,8 +32,7 @@ struct NewEdges {
         for (std::size_t e = 0; e < count; ++e) {
             const double *const z = measured.data() + d * e, *const W = information.data() + d * d * e;
             const Id* const nodes = ends.data() + 2 * e;
-            NewEdge edge{nodes[0], nodes[1], kind, d == 3, {}, {}};
-            edge.doubted = doubted;
+            NewEdge edge{{nodes[0], nodes[1]}, kind, d == 3, {}, {}, {}, doubted};
             std::copy_n(z, d, &edge.z.x);
             double* packed = &edge.omega.xx;
             for (std::size_t j = 0; j < d; ++j)

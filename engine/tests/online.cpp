@@ -39,7 +39,7 @@ class Drive {
         const Id from = poses.back();
         poses.push_back(system.add_node());
         const Vector z{motion[0] + noise() / 20, noise() / 20, motion[2] + noise() / 30};
-        std::vector<NewEdge> edges{{from, poses.back(), Kind::motion, true, z, stiff}};
+        std::vector<NewEdge> edges{{{from, poses.back()}, Kind::motion, true, z, stiff}};
         const Triple& pose = truth.back();
         const Rotation axes(pose[2]);
         for (std::size_t k = 0; k < marks_.size(); ++k) {
@@ -47,7 +47,7 @@ class Drive {
             if (std::hypot(dx, dy) > 5.0) continue;
             if (numbers_[k] < 0) numbers_[k] = system.add_node();
             const Vector mark{axes.c * dx + axes.s * dy + noise() / 10, axes.c * dy - axes.s * dx + noise() / 12, 0.0};
-            edges.push_back({poses.back(), numbers_[k], Kind::sighting, false, mark, sighting});
+            edges.push_back({{poses.back(), numbers_[k]}, Kind::sighting, false, mark, sighting});
         }
         expect(system.add(known, edges, {&poses.back(), 1}), "a step is taken", 0);
     }
@@ -177,14 +177,14 @@ void edges_have_the_right_gradient(unsigned seed) {
         }
         const Vector z{normal(random), normal(random), normal(random)};
         const Lever lever{normal(random), normal(random)};
-        const NewEdge added[] = {{0, 1, Kind::relation, true, z, W, {}, true},
-                                 {0, 2, Kind::sighting, false, z, of_point},
-                                 {0, 2, Kind::range, false, {std::abs(z.x), 0, 0}, W, lever},
-                                 {0, 1, Kind::range, false, {std::abs(z.x), 0, 0}, W, lever},
-                                 {1, 2, Kind::bearing, false, z, W, lever},
-                                 {1, 0, Kind::bearing, false, z, W, lever},
-                                 {0, 0, Kind::position, false, z, of_point, lever, true},
-                                 {1, 1, Kind::position, true, z, W, lever, true}};
+        const NewEdge added[] = {{{0, 1}, Kind::relation, true, z, W, {}, true},
+                                 {{0, 2}, Kind::sighting, false, z, of_point},
+                                 {{0, 2}, Kind::range, false, {std::abs(z.x), 0, 0}, W, lever},
+                                 {{0, 1}, Kind::range, false, {std::abs(z.x), 0, 0}, W, lever},
+                                 {{1, 2}, Kind::bearing, false, z, W, lever},
+                                 {{1, 0}, Kind::bearing, false, z, W, lever},
+                                 {{0, 0}, Kind::position, false, z, of_point, lever, true},
+                                 {{1, 1}, Kind::position, true, z, W, lever, true}};
         graph.append(added, 3);
         for (const Edge& edge : graph.edges) {
             const auto cost = [&] { return linearize(graph, edge).cost; };
@@ -217,8 +217,8 @@ void a_refused_step_changes_nothing(unsigned seed) {
     const std::string before = system.save();
     const auto known = static_cast<Id>(system.graph().nodes.size());
     const Id pose = system.add_node();
-    const NewEdge loose{drive.poses.back(), pose, Kind::motion, true, {1.0, 0.0, 0.0}, {0.0, 0.0, 0.0, 0.0, 0.0, 0.0}};
-    const NewEdge range{drive.poses.back(), system.add_point(1.0, 2.0), Kind::range, false, {1.0, 0.0, 0.0}, {1.0}};
+    const NewEdge loose{{drive.poses.back(), pose}, Kind::motion, true, {1.0, 0.0, 0.0}, {0.0, 0.0, 0.0, 0.0, 0.0, 0.0}};
+    const NewEdge range{{drive.poses.back(), system.add_point(1.0, 2.0)}, Kind::range, false, {1.0, 0.0, 0.0}, {1.0}};
     const NewEdge edges[] = {loose, range};
     expect(!system.add(known, edges, {&pose, 1}), "a step without information is refused", seed);
     expect(system.save() == before, "and changes nothing", seed);
@@ -235,7 +235,7 @@ void a_refused_step_changes_nothing(unsigned seed) {
     alone.add_prior({&mark, 1}, {&place, 1}, {1.0, 2.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0, 0.0}, true);
     expect(!alone.solve({&mark, 1}, {}, {&first, 1}), "an indefinite prior", seed);
     const Id next = alone.add_node();
-    const NewEdge motion{first, next, Kind::motion, true, {1.0, 0.0, 0.0}, stiff};
+    const NewEdge motion{{first, next}, Kind::motion, true, {1.0, 0.0, 0.0}, stiff};
     expect(!alone.add(next, {&motion, 1}, {&next, 1}), "nor a step after it", seed);
 }
 
@@ -251,11 +251,11 @@ void the_batch_solver_takes_a_large_correction(unsigned seed) {
         const Id from = drive.poses.back();
         drive.poses.push_back(system.add_node());
         const Vector z{1.0 + 0.14 * drive.normal(), 0.14 * drive.normal(), turn + 0.1 * drive.normal()};
-        const NewEdge edge{from, drive.poses.back(), Kind::motion, true, z, {50.0, 0.0, 50.0, 0.0, 0.0, 100.0}};
+        const NewEdge edge{{from, drive.poses.back()}, Kind::motion, true, z, {50.0, 0.0, 50.0, 0.0, 0.0, 100.0}};
         system.add(known, {&edge, 1}, {&drive.poses.back(), 1});
     }
     const Triple& end = truth.back();
-    const NewEdge closure{drive.poses.front(), drive.poses.back(), Kind::relation, true, {end[0], end[1], end[2]}, stiff};
+    const NewEdge closure{{drive.poses.front(), drive.poses.back()}, Kind::relation, true, {end[0], end[1], end[2]}, stiff};
     expect(system.add(system.graph().size(), {&closure, 1}, {&drive.poses.back(), 1}), "a closure is taken", seed);
     expect(system.converged, "and converges", seed);
     const Triple found = system.values({&drive.poses.back(), 1})[0];

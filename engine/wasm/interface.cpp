@@ -66,14 +66,14 @@ struct Online {
         std::vector<online::NewEdge> edges;
         if (control != nullptr) {
             const auto [z, omega] = measured(control_of(control), robot.motion);
-            edges.push_back({pose, system.add_node(), online::Kind::motion, true, z, omega});
-            pose = edges.back().second;
+            edges.push_back({{pose, system.add_node()}, online::Kind::motion, true, z, omega});
+            pose = edges.back().ends[1];
         }
         for (int k = 0; k < count; ++k) {
             const auto [place, fresh] = landmarks.try_emplace(landmark_of(sightings + 4 * k), -1);
             if (fresh) place->second = system.add_node();
             const auto [z, omega] = measured(sighting_of(sightings + 4 * k), robot.oriented, robot.sensor);
-            edges.push_back({pose, place->second, online::Kind::sighting, robot.oriented, z, omega});
+            edges.push_back({{pose, place->second}, online::Kind::sighting, robot.oriented, z, omega});
         }
         if (edges.empty() || system.add(known, edges, {&pose, 1})) return true;
         pose = pose_before;

@@ -17,7 +17,7 @@ from ..engine import engine
 from ..errors import GraphError, OptionError, checks, quoted
 from ..linear.precision import check_size, model_of, small_inverse
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, sinc_slope_near_zero, turned_by
+from ..se2 import Array, turned_by
 from .arguments import (
     PoseLike,
     frozen_at,
@@ -159,37 +159,11 @@ class MotionFactor(RelativePoseFactor):
         options = {"frame": frame, "at": at, "scale": scale, "kernel": kernel}
         arguments = {"control": u, "dt": dt, "motion": motion} | options
         # f and its covariance turn with the pose that they start from
-        moved, covariance = _from_origin(motion, nu, omega, float(dt))
+        moved, covariance = motion.moved(u, float(dt))
         information = small_inverse(covariance)
         if information is None:
             raise GraphError("the uncertainty of the motion is singular to double precision; raise epsilon")
         self._make([key_1, key_2], moved, information, arguments)
-
-
-def _from_origin(motion: MotionModel, nu: float, omega: float, dt: float) -> tuple[Array, list[list[float]]]:
-    """f(0, u) (3,) and its covariance A M A' + S + epsilon I (3, 3): `MotionModel`, written out for one control.
-
-    For one control the arrays of the model take ten times as long.
-    """
-    a = omega * dt / 2
-    c, s, chord = cos(a), sin(a), sin(a) / a if a else 1.0
-    slope = sinc_slope_near_zero(a) if abs(a) < 0.3 else (c - chord) / a
-    half = nu * dt * dt / 2
-    # the columns (ax, ay, 0) and (bx, by, dt) of A; the normal of the chord is (-s, c, 0)
-    ax, ay = dt * chord * c, dt * chord * s
-    bx, by = half * (slope * c - chord * s), half * (slope * s + chord * c)
-    far, turned, epsilon = abs(nu) / dt, abs(omega) / dt, motion.epsilon
-    v = motion.nn * motion.nn * far + motion.no * motion.no * turned + motion.sigma_v * motion.sigma_v
-    w = motion.on * motion.on * far + motion.oo * motion.oo * turned + motion.sigma_omega * motion.sigma_omega
-    aside = motion.slip * motion.slip * abs(nu) * dt
-    xy, xt, yt = v * ax * ay + w * bx * by - aside * c * s, w * bx * dt, w * by * dt
-    covariance = [
-        [v * ax * ax + w * bx * bx + aside * s * s + epsilon, xy, xt],
-        [xy, v * ay * ay + w * by * by + aside * c * c + epsilon, yt],
-        [xt, yt, w * dt * dt + epsilon],
-    ]
-    driven = nu * dt * chord
-    return np.array([driven * c, driven * s, 2 * a]), covariance
 
 
 class RelativeEdgesFactor(Factor):

@@ -50,7 +50,7 @@ from ..edges import (
     VirtualMotionEdges,
 )
 from ..errors import GraphError, checks
-from ..se2 import Array, between, chained, inverse, lever_matrix, perpendicular, rotation, turn_matrix, turned_by
+from ..se2 import Array, between, chained, inverse, joined_motions, lever_matrix, perpendicular, rotation, turn_matrix
 from .defaults import anchors
 from .graph import Graph
 
@@ -216,16 +216,10 @@ def _chain(graph: Graph) -> RelativePoseEdges | None:
 
 
 def _joined(chain: RelativePoseEdges, kept: np.ndarray) -> RelativePoseEdges:
-    """The relative poses between kept nodes, with covariance sum of J C J', J = [I, lever; 0, 1] after each motion."""
-    driven = chained(np.zeros(3), chain.measured)
-    start, end = driven[kept[:-1]], driven[kept[1:]]
-    last = np.repeat(np.arange(len(kept) - 1), np.diff(kept))
-    J = turn_matrix(driven[:-1, 2])
-    J[:, :2, 2] = perpendicular(end[last, :2] - driven[1:, :2])
-    covariance = np.add.reduceat(J @ np.linalg.inv(chain.information) @ np.swapaxes(J, 1, 2), kept[:-1], axis=0)
-    information = np.linalg.inv(turned_by(covariance, -start[:, 2]))
-    number = np.arange(len(kept))
-    return RelativePoseEdges(number[:-1], number[1:], between(start, end), _symmetric(information))
+    """The relative poses between kept nodes, with the covariances sum of L C L' of the motions that they join."""
+    (measured, L), number = joined_motions(chain.measured, kept), np.arange(len(kept))
+    covariance = np.add.reduceat(L @ np.linalg.inv(chain.information) @ np.swapaxes(L, 1, 2), kept[:-1], axis=0)
+    return RelativePoseEdges(number[:-1], number[1:], measured, _symmetric(np.linalg.inv(covariance)))
 
 
 _Relative = TypeVar("_Relative", RelativePoseEdges, RelativePointEdges, RelativePoseEdges | RelativePointEdges)

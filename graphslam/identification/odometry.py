@@ -24,7 +24,7 @@ import numpy as np
 from ..linear.precision import inverses
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, chained, perpendicular, turn_matrix
+from ..se2 import Array, chained, joined_motions
 from .corrections import (
     averaged_controls,
     averaging_times,
@@ -185,7 +185,7 @@ class Odometry:
         if len(steps) == len(self.times):
             return self._parts, self._of_controls
         inside = slice(steps[0], steps[-1])
-        levers = _joined(self._recorded[inside], steps - steps[0])[1]
+        levers = joined_motions(self._recorded[inside], steps - steps[0])[1]
 
         def joined(C: Array) -> Array:
             return np.add.reduceat(levers @ C[inside] @ np.swapaxes(levers, 1, 2), steps[:-1] - steps[0])
@@ -198,7 +198,7 @@ class Odometry:
         if len(steps) == len(self.times):
             return motions, slopes
         inside = slice(steps[0], steps[-1])
-        motions, levers = _joined(motions[inside], steps - steps[0])
+        motions, levers = joined_motions(motions[inside], steps - steps[0])
         return motions, np.add.reduceat(levers @ slopes[inside], steps[:-1] - steps[0])
 
     def by_differences(self, parameters: Parameters, steps: np.ndarray) -> Array:
@@ -208,7 +208,7 @@ class Odometry:
             everything, corrected_controls(everything), scaled=np.abs(averaged_controls(self.log)) / 2
         )
         scales = [parameters.names.index(name) for name in ("wheel_scale", "turn_scale")]
-        levers = _joined(motions[inside], steps - steps[0])[1]
+        levers = joined_motions(motions[inside], steps - steps[0])[1]
         return np.add.reduceat(levers @ slopes[inside][:, :, scales], steps[:-1] - steps[0])
 
     def poses(self, parameters: Parameters) -> Array:
@@ -239,22 +239,6 @@ def near(parameters: Parameters, values: Array) -> bool:
     """Whether parameters are so near the values (K,) of an evaluation that its derivatives are enough (`NEAR`)."""
     k = [parameters.names.index(name) for name in NEAR]
     return bool(np.all(np.abs(parameters.values - values)[k] <= list(NEAR.values())))
-
-
-def _joined(motions: Array, steps: np.ndarray) -> tuple[Array, Array]:
-    """The motions (n, 3) between steps, from the first to the last, and L (T, 3, 3) of each motion (T, 3) that they join."""
-    first, count = steps[:-1], np.diff(steps)
-
-    def before(values: Array) -> Array:
-        """The sum of the earlier values of the same joined motion."""
-        total = np.cumsum(values, axis=0) - values
-        return total - np.repeat(total[first], count, axis=0)
-
-    levers = turn_matrix(before(motions[:, 2]))
-    ways = np.einsum("eij,ej->ei", levers[:, :2, :2], motions[:, :2])
-    joined = np.column_stack([np.add.reduceat(ways, first), np.add.reduceat(motions[:, 2], first)])
-    levers[:, :2, 2] = perpendicular(np.repeat(joined[:, :2], count, axis=0) - before(ways) - ways)
-    return joined, levers
 
 
 @dataclass

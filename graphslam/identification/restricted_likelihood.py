@@ -42,6 +42,8 @@ from .unknowns import DEGREES_MOTIONS, DEGREES_SIGHTINGS, LONGEST, PRIORS, SPREA
 OVERSTATED_BY_SIGHTINGS, OVERSTATED_BY_MOTIONS = {1: 1.182, 2: 1.207, 3: 1.222}, 1.097
 #: a gain of the log likelihood below which the rounds of `fit` end
 GAIN = 0.3
+#: rounds of solving and improving the variances of `refitted`
+REFITTED = 8
 
 
 def fit(unknowns: Unknowns, rounds: int) -> tuple[Unknowns, dict[str, float]]:
@@ -212,6 +214,22 @@ def scores(solved: Unknowns, kind: int, D: Array) -> tuple[Array, Array, Array]:
     exact = np.tensordot(weighted, D, ((0, 1), (0, 1)))
     P = exact - np.tensordot(weighted, edges.moved(*following), ((0, 1), (0, 1)))
     return np.einsum("eik,ei->k", weighted, residuals), (P + P.T) / 2, exact
+
+
+#: an error is determined where it has more than this part of the information that exact nodes would give
+DETERMINED = 1e-6
+
+
+def each_alone(u: Array, P: Array, exact: Array) -> tuple[Array, Array, Array]:
+    """z = |u| / sqrt(P), s = -u / P and its standard error (K,) by `scores` of each column; zero where not determined."""
+    information = np.diag(P)
+    information = np.where(information > DETERMINED * np.diag(exact), information, np.inf)
+    return np.abs(u) / np.sqrt(information), -u / information, information**-0.5
+
+
+def refitted(fitted: Unknowns, log: Log) -> Unknowns:
+    """`fit` of a solution with another log of the same sightings."""
+    return fit(Unknowns(log, log.landmarks, fitted.sensor, fitted), REFITTED)[0]
 
 
 #: the standard deviation of the wide prior [m], and the gain of the log likelihood per sighting with which it is taken: at

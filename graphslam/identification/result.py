@@ -15,7 +15,7 @@ that of as many independent ones.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import lgamma, log, pi
 
 import numpy as np
@@ -156,8 +156,30 @@ CAUSES = {
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class RobotEstimate:
-    """What `estimate_robot` finds.
+class Systematic:
+    """Errors of a robot beside noise and biases.
+
+    Attributes:
+        turns: moments at which the sensor was turned.
+        lens: the error of the bearings that grows with them, if any.
+        ranges: the errors of the ranges that differ between landmarks, if any.
+        uneven: scales of the odometry that differ between two directions.
+    """
+
+    turns: tuple[Turn, ...] = ()
+    lens: Lens | None = None
+    ranges: RangeErrors | None = None
+    uneven: tuple[Uneven, ...] = ()
+
+    def undone(self, log: Log, *, turned: bool = True) -> Log:
+        """The log without them, but with those of the ranges; without ``turned`` the sensor was not turned."""
+        # the axis of the lens is that of the sensor, so that its error is undone first
+        return turned_back(undistorted(levelled(log, self.uneven), self.lens), self.turns if turned else ())
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RobotEstimate(Systematic):
+    """What `estimate_robot` finds; its log is without the errors of `Systematic`.
 
     Attributes:
         log: the log with the ids corrected, clutter left out, scales and biases taken out, and these noise models as its own.
@@ -176,31 +198,23 @@ class RobotEstimate:
         of_scans: the error that all sightings of a scan have in common along the way [m], which the noise of the sensor
             contains and that of the odometry does not; 0 where the log shows none.
         slips: stretches on which the odometry is wrong; the log has more noise of the controls there.
-        turns: moments at which the sensor was turned; the log has the bearings without them.
-        lens: the error of the bearings that grows with them, if any; the log has them without it.
-        uneven: scales of the odometry that differ between two directions; the log has the controls without the differences.
-        ranges: the errors of the ranges that differ between landmarks, if any; the log has them without these.
     """
 
     log: Log
     motion: MotionModel
     sensor: SensorModel
     parameters: ParameterEstimate
-    errors: dict[str, float]
+    errors: dict[str, float] = field(default_factory=dict)
     ids: Ids
-    correlations: Array
-    inflation: float
-    nearly_exact: bool
+    correlations: Array = field(default_factory=lambda: np.zeros(len(LAGS) - 1))
+    inflation: float = 1.0
+    nearly_exact: bool = False
     left_out: LeftOut
     basis: str = ESTIMATE
     on_motion: float = np.inf
     untested: tuple[str, ...] = ()
     of_scans: float = 0.0
     slips: tuple[Slip, ...] = ()
-    turns: tuple[Turn, ...] = ()
-    lens: Lens | None = None
-    ranges: RangeErrors | None = None
-    uneven: tuple[Uneven, ...] = ()
 
     def __repr__(self) -> str:
         return f"<RobotEstimate: {'; '.join(self.sentences)}>"
@@ -213,9 +227,7 @@ class RobotEstimate:
         own = self.log.times
         same = log.times is not None and own is not None and np.array_equal(log.times, own)
         biases = {n: value for n, value in zip(self.parameters.names, self.parameters.values) if n not in PLACE}
-        log = turned_back(
-            undistorted(evened(levelled(log, self.uneven), self.ranges), self.lens), self.turns if same else ()
-        )
+        log = evened(self.undone(log, turned=same), self.ranges)
         log = without_biases(log, motion=self.motion, sensor=self.sensor, **biases)
         for slip in self.slips if same else ():
             log = with_slip(log, slip)

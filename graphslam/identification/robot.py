@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -40,12 +41,13 @@ from .result import (
     MANY_MISREAD,
     LeftOut,
     RobotEstimate,
+    Systematic,
     apart_from_scans,
     left_out,
     without_found,
 )
 from .sensor_errors import MOST as MOST_TURNS
-from .sensor_errors import Lens, Turn, lens_of, range_errors_of, turn_of, turned_back, undistorted
+from .sensor_errors import lens_of, range_errors_of, turn_of
 from .sighting_errors import (
     LAGS,
     ROUNDING,
@@ -58,7 +60,7 @@ from .sighting_errors import (
     inflation,
     smoothed,
 )
-from .slips import Slip, Uneven, levelled, slip_of_drive, uneven_of, without_slips
+from .slips import Slip, slip_of_drive, uneven_of, without_slips
 from .unknowns import Unknowns
 
 #: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare
@@ -103,7 +105,7 @@ def estimate_from_sightings(
     _check(log)
     try:
         rng, believed = np.random.default_rng(seed), sensor or log.sensor or SensorModel()
-        return _estimate(log, believed, given, rng, ranges=() if single_landmarks else None)
+        return _estimate(log, believed, given, rng, MOST_IMPROVED if single_landmarks else 0, Systematic())
     except np.linalg.LinAlgError:
         raise GraphError(f"{log.name}: the sightings do not determine noise and biases together") from None
 
@@ -125,18 +127,18 @@ def _estimate(
     sensor: SensorModel,
     given: tuple[MotionModel, SensorModel] | None,
     rng: np.random.Generator,
-    turns: tuple[Turn, ...] = (),
-    lens: Lens | None = None,
-    ranges: tuple[RangeErrors, ...] | None = (),
-    uneven: tuple[Uneven, ...] = (),
+    improvements: int,
+    known: Systematic,
+    improved: int = 0,
 ) -> RobotEstimate:
-    """The estimate from a log that has enough sightings, and whose sensor has the errors that are known.
+    """The estimate from a log that has enough sightings, and whose robot has the errors that are known.
 
     Args:
-        ranges: their errors that were found, each more exactly than before; the last ones count. None: there are none.
+        improvements: how often the errors of the ranges are found, each time more exactly than before.
+        improved: how often they were.
     """
-    # the axis of the lens is that of the sensor, so that its error is undone first
-    log, off = turned_back(undistorted(levelled(recorded, uneven), lens), turns), ranges[-1] if ranges else None
+    again, off = partial(_estimate, recorded, sensor, given, rng, improvements), known.ranges
+    log = known.undone(recorded)
     drive, first, ids, slips = _with_ids(evened(log, off), sensor, rng)
     log = log.replace(control_variances=drive.control_variances)
     measured = ids.correct(drive)
@@ -146,12 +148,12 @@ def _estimate(
     named, right = evened(measured, off), evened(ids.correct(log), off)
     sparse, used = _sparse(named)
     second = _joined(sparse, sensor, first, ROUNDS[2])[0]
-    if len(uneven) < 2 and (one := uneven_of(second)) is not None:
-        return _estimate(recorded, sensor, given, rng, (), None, None if ranges is None else (), (*uneven, one))
-    if lens is None and (lens := lens_of(second)) is not None:
+    if len(known.uneven) < 2 and (one := uneven_of(second)) is not None:
+        return again(Systematic(uneven=(*known.uneven, one)))
+    if known.lens is None and (lens := lens_of(second)) is not None:
         # turns that were found before belong to bearings with another axis
-        return _estimate(recorded, sensor, given, rng, (), lens, None if ranges is None else (), uneven)
-    if ranges is not None and len(ranges) < MOST_IMPROVED:
+        return again(Systematic(uneven=known.uneven, lens=lens))
+    if improved < improvements:
 
         def count_as_one(solved: Unknowns, errors: RangeErrors) -> float:
             every, few = (evened(each, errors) for each in (measured, measured.with_sightings(used)))
@@ -160,9 +162,9 @@ def _estimate(
         few = _of_sightings(measured.with_sightings(used))
         found = range_errors_of(second, few, off, count_as_one)
         if found is not None and found is not off:
-            return _estimate(recorded, sensor, given, rng, turns, lens, (*ranges, found), uneven)
-    if len(turns) < MOST_TURNS and (turn := turn_of(second, lambda few: _everywhere(few, named))) is not None:
-        return _estimate(recorded, sensor, given, rng, (*turns, turn), lens, ranges, uneven)
+            return again(replace(known, ranges=found), improved + 1)
+    if len(known.turns) < MOST_TURNS and (turn := turn_of(second, lambda few: _everywhere(few, named))) is not None:
+        return again(replace(known, turns=(*known.turns, turn)), improved)
     exact = fit(second.with_nearly_exact_odometry(), ROUNDS[2])[0]
     held_first, held_with_exact = hold_needless(second, ROUNDS[2]), hold_needless(exact, ROUNDS[2])
     held = held_first
@@ -186,7 +188,11 @@ def _estimate(
     if exact_and_unbiased and compared.count and compared.gain(ESTIMATE, DEAD_RECKONING) < CLEARLY:
         basis = DEAD_RECKONING
     elif compared.count >= ENOUGH and compared.gain(other[0], ESTIMATE) > CLEARLY:
-        return replace(_known(right, ids, *other, compared, slips), turns=turns, lens=lens, ranges=off, uneven=uneven)
+        nothing, (motion, seen) = ParameterEstimate((), np.zeros(0), np.zeros((0, 0)), {}), other[1]
+        return RobotEstimate(
+            log=right.replace(motion=motion, sensor=seen), motion=motion, sensor=seen, parameters=nothing, ids=ids,
+            left_out=compared, basis=other[0], slips=slips, **vars(known),
+        )  # fmt: skip
     if basis == DEAD_RECKONING:
         # this problem holds what the first one held, too
         second, held = dead_reckoning, held_first | held
@@ -209,19 +215,7 @@ def _estimate(
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, ids=ids, correlations=rho,
         inflation=factor, nearly_exact=nearly_exact, left_out=compared, basis=basis, on_motion=on_motion, of_scans=of_scans,
-        slips=slips, turns=turns, lens=lens, ranges=off, uneven=uneven,
-    )  # fmt: skip
-
-
-def _known(
-    log: Log, ids: Ids, basis: str, noise: tuple[MotionModel, SensorModel], compared: LeftOut, slips: tuple[Slip, ...]
-) -> RobotEstimate:
-    """The result where other noise than the estimated one predicts sightings best that are left out."""
-    nothing, (motion, sensor) = ParameterEstimate((), np.zeros(0), np.zeros((0, 0)), {}), noise
-    return RobotEstimate(
-        log=log.replace(motion=motion, sensor=sensor), motion=motion, sensor=sensor, parameters=nothing,
-        errors={}, ids=ids, correlations=np.zeros(len(LAGS) - 1), inflation=1.0, nearly_exact=False, left_out=compared,
-        basis=basis, slips=slips,
+        slips=slips, **vars(known),
     )  # fmt: skip
 
 

@@ -35,24 +35,18 @@ import numpy as np
 from ..errors import GraphError
 from ..log import Log
 from ..se2 import Array, wrap
-from .restricted_likelihood import fit, gain_over, scores, with_wide_prior
-from .sighting_errors import MOST_CORRECTED, OFFSET, SCALE, SETTLED, RangeErrors, evened
-from .unknowns import OVERSTATED_SIGHTINGS, Unknowns
+from .restricted_likelihood import DETERMINED, each_alone, gain_over, refitted, scores, with_wide_prior
+from .sighting_errors import MOST_CORRECTED, OFFSET, SCALE, SETTLED, RangeErrors, evened, with_sightings_in
+from .unknowns import BEARING, OVERSTATED_SIGHTINGS, RANGE, Unknowns
 
-#: the rows of the residuals of sightings
-RANGE, BEARING = 0, 1
 #: how many moments are tried
 MOMENTS = 60
 #: a z above the first number suggests a step, and a step that explains as much as so many standard errors is one:
 #: docs/decisions.md
 SUGGESTED, SURELY = 3.5, 5.0
-#: a step is determined where it has more than this part of the information that exact poses would give
-DETERMINED = 1e-6
 #: the standard deviation of the prior of the bias of the whole drive [rad]. With the usual one, a sensor that is mounted
 #: askew by ten degrees seems to have been turned in the first seconds
 ASKEW = np.pi
-#: rounds of solving and improving the variances
-ROUNDS = 8
 #: the most turns of one drive
 MOST = 3
 #: bearings below this quantile are in the field of view, which ends before the second number [rad] for an error that grows
@@ -94,11 +88,7 @@ def turned_back(log: Log, turns: Iterable[Turn]) -> Log:
         return log
     times = log.times - log.times[0]
     off = np.sum([turn.angle * (times > turn.time) for turn in turns], axis=0)
-    sightings, partial = log.sightings.copy(), log.partial_sightings
-    sightings[:, 1] = wrap(sightings[:, 1] - off[log.steps])
-    if partial is not None:
-        partial = replace(partial, bearings=wrap(partial.bearings - off[partial.steps]))
-    return log.replace(sightings=sightings, partial_sightings=partial)
+    return with_sightings_in(log, BEARING, lambda bearings, steps, _: wrap(bearings - off[steps]))
 
 
 def turn_of(fitted: Unknowns, whole: Callable[[Unknowns], Unknowns]) -> Turn | None:
@@ -116,11 +106,7 @@ def turn_of(fitted: Unknowns, whole: Callable[[Unknowns], Unknowns]) -> Turn | N
     if z[k] < SUGGESTED:
         return None
     turn = Turn(float(limits[k]), float(angles[k]), 0.0)
-
-    def again(log: Log) -> Unknowns:
-        return fit(Unknowns(log, log.landmarks, fitted.sensor, fitted), ROUNDS)[0]
-
-    turned, same = again(turned_back(fitted.log, [turn])), again(fitted.log)
+    turned, same = refitted(fitted, turned_back(fitted.log, [turn])), refitted(fitted, fitted.log)
     if gain_over(turned, same) < SURELY**2 / 2:
         return None
     z, rest, errors = _steps(turned, limits[[k]])
@@ -142,17 +128,7 @@ def _times(solved: Unknowns) -> Array:
 
 def _steps(solved: Unknowns, moments: Array) -> tuple[Array, Array, Array]:
     """z, s and its standard error of a step of the bearings at each of some moments (K,); zero where it is not determined."""
-    u, information, exact = (
-        each if each.ndim == 1 else np.diag(each)
-        for each in _scores(solved, BEARING, (_times(solved)[:, None] > moments).astype(float))
-    )
-    known = information > DETERMINED * exact
-    P = np.where(known, information, 1.0)
-    return (
-        np.where(known, np.abs(u) / np.sqrt(P), 0.0),
-        np.where(known, -u / P, 0.0),
-        np.where(known, P**-0.5, 0.0),
-    )
+    return each_alone(*_scores(solved, BEARING, (_times(solved)[:, None] > moments).astype(float)))
 
 
 def _scores(solved: Unknowns, row: int, derivatives: Array) -> tuple[Array, Array, Array]:
@@ -208,13 +184,7 @@ class Lens:
 
 def undistorted(log: Log, lens: Lens | None) -> Log:
     """The log with the bearings without this error."""
-    if lens is None:
-        return log
-    sightings, partial = log.sightings.copy(), log.partial_sightings
-    sightings[:, 1] = lens.corrected(sightings[:, 1])
-    if partial is not None:
-        partial = replace(partial, bearings=lens.corrected(partial.bearings))
-    return log.replace(sightings=sightings, partial_sightings=partial)
+    return log if lens is None else with_sightings_in(log, BEARING, lambda bearings, *_: lens.corrected(bearings))
 
 
 def lens_of(fitted: Unknowns) -> Lens | None:
@@ -232,11 +202,7 @@ def lens_of(fitted: Unknowns) -> Lens | None:
     if z2 < SUGGESTED**2:
         return None
     lens = replace(lens, near=near, bend=bend)
-
-    def again(log: Log) -> Unknowns:
-        return fit(Unknowns(log, log.landmarks, fitted.sensor, fitted), ROUNDS)[0]
-
-    straight, same = again(undistorted(fitted.log, lens)), again(fitted.log)
+    straight, same = refitted(fitted, undistorted(fitted.log, lens)), refitted(fitted, fitted.log)
     if gain_over(straight, same) + lens.log_density(bearings) - (near**2 + bend**2) / (2 * USUAL**2) < GROWS:
         return None
     _, near, bend, errors = _growth(straight, lens, bearings)
@@ -327,7 +293,7 @@ class _Trial:
     def _promising(self, kind: str) -> bool:
         """Whether the solution without further corrections suggests errors."""
         u, P = self._scores(self._fitted, kind)
-        return bool(_spread(-u, P)[1] > PROMISING or _z(u, P).max() > SUGGESTED)
+        return bool(_spread(-u, P)[1] > PROMISING or each_alone(u, P, P)[0].max() > SUGGESTED)
 
     def _of_all(self, kind: str) -> list[tuple[float, RangeErrors]]:
         """The gain and the errors of all landmarks, drawn from one normal distribution; none where the gain is too small."""
@@ -367,7 +333,7 @@ class _Trial:
         chosen, count = list[int](), 1.0
         while len(chosen) < MOST_SINGLE * n:
             u, P = self._scores(solved, kind)
-            z = _z(u, P)
+            z = each_alone(u, P, P)[0]
             z[chosen] = 0.0
             k = int(np.argmax(z))
             if z[k] < SUGGESTED:
@@ -411,20 +377,13 @@ class _Trial:
         return self._solved(None)
 
     def _solved(self, errors: RangeErrors | None) -> Unknowns:
-        log = evened(self._recorded, errors)
-        return fit(Unknowns(log, log.landmarks, self._fitted.sensor, self._fitted), ROUNDS)[0]
+        return refitted(self._fitted, evened(self._recorded, errors))
 
     def _scores(self, solved: Unknowns, kind: str) -> tuple[Array, Array]:
         """u (n,) and P (n, n), zero for landmarks whose error is not determined."""
         u, P, exact = _scores(solved, RANGE, self._columns[kind])
         known = np.diag(P) > DETERMINED * np.diag(exact)
         return u * known, P * np.outer(known, known)
-
-
-def _z(u: Array, P: Array) -> Array:
-    """How many standard errors (n,) each error is from zero; zero where it is not determined."""
-    information = np.diag(P)
-    return np.abs(u) / np.sqrt(np.where(information > 0, information, np.inf))
 
 
 def _spread(b: Array, P: Array) -> tuple[float, float]:

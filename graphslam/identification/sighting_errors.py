@@ -15,7 +15,7 @@ Errors of scans: a sensor that shakes, or inexact times, give all sightings of o
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,7 +24,7 @@ from ..errors import named
 from ..log import UNIDENTIFIED, Log
 from ..se2 import Array
 from .odometry import Edges, ordinary, sighting_times
-from .unknowns import Unknowns
+from .unknowns import RANGE, Unknowns
 
 #: samples of the covariance of the solution
 SAMPLES = 24
@@ -65,6 +65,17 @@ LEAST_OWN = 0.03
 #: corrected by this factor at most; and how many characters of a note name landmarks
 SCALE, OFFSET = "scale", "offset"
 SETTLED, MOST_CORRECTED, MOST_NAMED = 0.5, 2.0, 160
+#: of each kind, for notes: the factor to its unit, the unit, the errors of all landmarks, those of single ones, and the cause
+OF_KIND = {
+    SCALE: (
+        100.0, "%", "ranges are off by a part that differs from landmark to landmark",
+        "landmark: error +- standard error [%]", "tags may have another size than the sensor believes, so measure them",
+    ),
+    OFFSET: (
+        1.0, "m", "ranges are off by a length that differs from landmark to landmark",
+        "landmark: error +- standard error [m]", "landmarks may be thick, or beacons late, so measure where they reflect",
+    ),
+}  # fmt: skip
 
 
 class Predictions:
@@ -389,31 +400,18 @@ class RangeErrors:
     @property
     def sentences(self) -> tuple[str, ...]:
         """For the notes of an estimate."""
-        size = 100.0 if self.kind == SCALE else 1.0
+        size, unit, differ, head, cause = OF_KIND[self.kind]
         largest = sorted(self.found.items(), key=lambda item: -abs(item[1][0]))
         each = named((f"{id}: {size * s:+.2g} +- {size * e:.1g}" for id, (s, e) in largest), MOST_NAMED)
-        head = {SCALE: "landmark: error +- standard error [%]", OFFSET: "landmark: error +- standard error [m]"}[
-            self.kind
-        ]
-        which = f"({head}): {each}"
-        after = "They are corrected in this log, and files of the robot do not contain the correction"
-        cause = {
-            SCALE: "tags may have another size than the sensor believes, so measure them",
-            OFFSET: "landmarks may be thick, or beacons late, so measure where they reflect",
-        }[self.kind]
-        if self.spread is None:
-            said = f"ranges of single landmarks are off against those of the others {which}. {after}: {cause}"
-        elif self.kind == OFFSET:
-            said = (
-                "ranges are off by a length that differs from landmark to landmark, with a standard deviation of "
-                f"{self.spread:.2g} m {which}. {after}: {cause}"
-            )
-        else:
-            said = (
-                "ranges are off by a part that differs from landmark to landmark, with a standard deviation of "
-                f"{100 * self.spread:.2g} % {which}. {after}: {cause}. Their mean counts as right, so that all lengths may "
-                f"be off by {100 * self.uncertain['range_scale']:.1g} %"
-            )
+        said = "ranges of single landmarks are off against those of the others"
+        if self.spread is not None:
+            said = f"{differ}, with a standard deviation of {size * self.spread:.2g} {unit}"
+        said += (
+            f" ({head}): {each}. They are corrected in this log, and files of the robot do not contain the correction"
+        )
+        said += f": {cause}"
+        if mean := self.uncertain:
+            said += f". Their mean counts as right, so that all lengths may be off by {100 * mean['range_scale']:.1g} %"
         if not self.alike:
             return (said,)
         return (
@@ -448,8 +446,19 @@ def evened(log: Log, ranges: RangeErrors | None) -> Log:
     """The log with the ranges without these errors."""
     if ranges is None:
         return log
+    return with_sightings_in(log, RANGE, lambda r, _, landmarks: ranges.corrected(r, landmarks))
+
+
+def with_sightings_in(log: Log, column: int, corrected: Callable[[Array, np.ndarray, np.ndarray], Array]) -> Log:
+    """The log with other ranges, or other bearings, of whole sightings and of those alone.
+
+    Args:
+        column: `RANGE` or `BEARING`.
+        corrected: (numbers, steps, landmarks) -> the numbers instead; (K,) all.
+    """
     sightings, partial = log.sightings.copy(), log.partial_sightings
-    sightings[:, 0] = ranges.corrected(sightings[:, 0], log.landmarks)
+    sightings[:, column] = corrected(sightings[:, column], log.steps, log.landmarks)
     if partial is not None:
-        partial = replace(partial, ranges=ranges.corrected(partial.ranges, partial.landmarks))
+        name = ("ranges", "bearings")[column]
+        partial = replace(partial, **{name: corrected(getattr(partial, name), partial.steps, partial.landmarks)})
     return log.replace(sightings=sightings, partial_sightings=partial)

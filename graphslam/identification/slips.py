@@ -40,7 +40,7 @@ from ..models import additional_variances
 from ..se2 import Array, perpendicular
 from .corrections import averaged_controls
 from .odometry import Edges, Odometry
-from .restricted_likelihood import fit, gain_over, scores
+from .restricted_likelihood import DETERMINED, each_alone, gain_over, refitted, scores
 from .unknowns import Unknowns
 
 Problem = TypeVar("Problem")
@@ -60,18 +60,24 @@ MOST, WRONG = 3, 0.4
 #: a part of the way or of the turn is that of the mean over a cell that is above so many standard deviations: the noise of a
 #: recorded control is in the residual of its motion, too, so that controls that are mostly noise explain it
 MOVED = 3.0
-#: an error is determined where it has more than this part of the information that exact poses would give
-DETERMINED = 1e-6
 #: stretches whose z² are so near fit as well: the quantile 0.95 of chi-square for both ends
 ROUGHLY = 6.0
 #: the standard deviations of what is constant over the whole drive, for each of the four errors. Wheels have no constant
 #: error. At a constant speed, that and a part of the way would together be any stretch that is recorded as faster
 BIASES = (0.0, 0.1, 0.01, 0.1)
 #: a z above the first number suggests a difference between two directions, which counts where the log likelihood gains the
-#: second; and rounds of solving and improving the variances
-SUGGESTED, GAINED, ROUNDS = 3.5, 12.5, 8
+#: second
+SUGGESTED, GAINED = 3.5, 12.5
 #: the least part of the way, or of all turns, in each direction: on a circle |u| is u, and a difference is a scale
 BOTH_WAYS = 0.05
+#: for notes of both kinds of such differences: what is larger, where it is negative, and why
+LARGER = (
+    "forward speeds are recorded larger than backward ones by", "backward speeds are recorded larger than forward ones by",
+    "as where wheels slip more in that direction",
+), (
+    "left turns are recorded larger than right ones by", "right turns are recorded larger than left ones by",
+    "as where one of two wheels slips more",
+)  # fmt: skip
 #: the median of the absolute value of a standard normal number
 MEDIAN = 0.6745
 
@@ -115,21 +121,19 @@ class Slip:
         begin = int(np.searchsorted(times, self.begin, side="right")) - 1
         end = min(int(np.searchsorted(times, self.end)), len(times) - 1)
         unit = ("m/s", "rad/s")[self.column]
-        if corrected:
-            return (
-                f"between steps {begin} and {end} ({self.begin:.0f} to {self.end:.0f} s after the start) the odometry "
-                f"contradicts the other measurements by about {self.rate:.2g} {unit}, {self.z:.1f} times the standard error: "
-                "wheels slipped or were blocked, a gyroscope misread, the robot was moved, or many ids are wrong. The "
-                "controls there count as uncertain by as much (Log.control_variances), and covariances contain it"
-            )
-        return (
+        found, rest = (
             f"between steps {begin} and {end} ({self.begin:.0f} to {self.end:.0f} s after the start) the odometry "
             f"contradicts the other measurements by about {self.rate:.2g} {unit}, {self.z:.1f} times the standard error: "
-            "wheels slipped or were blocked, a gyroscope misread, the robot was moved, or many ids are wrong. The poses "
-            "there may be off, those after it and landmarks, too, and covariances do not contain it. Controls that are wrong "
-            "need more noise (Log.control_variances); where the robot was carried, cut the log there and solve both parts as "
-            "two drives (join_logs)"
+            "wheels slipped or were blocked, a gyroscope misread, the robot was moved, or many ids are wrong. ",
+            "The poses there may be off, those after it and landmarks, too, and covariances do not contain it. Controls that "
+            "are wrong need more noise (Log.control_variances); where the robot was carried, cut the log there and solve "
+            "both parts as two drives (join_logs)",
         )
+        if corrected:
+            rest = (
+                "The controls there count as uncertain by as much (Log.control_variances), and covariances contain it"
+            )
+        return found + rest
 
 
 def with_slip(log: Log, slip: Slip) -> Log:
@@ -295,21 +299,10 @@ class Uneven:
     @property
     def sentence(self) -> str:
         """For the notes of an estimate."""
-        size = f"{100 * abs(self.difference):.2g} % (standard error {100 * self.error:.1g} %)"
-        if self.column:
-            larger = "left turns are recorded larger than right ones by"
-            if self.difference < 0:
-                larger = "right turns are recorded larger than left ones by"
-            return (
-                f"{larger} {size}, as where one of two wheels slips more. They are corrected in this log, and files of the "
-                "robot do not contain the correction"
-            )
-        larger = "forward speeds are recorded larger than backward ones by"
-        if self.difference < 0:
-            larger = "backward speeds are recorded larger than forward ones by"
+        *larger, cause = LARGER[self.column]
         return (
-            f"{larger} {size}, as where wheels slip more in that direction. They are corrected in this log, and files of the "
-            "robot do not contain the correction"
+            f"{larger[self.difference < 0]} {100 * abs(self.difference):.2g} % (standard error {100 * self.error:.1g} %), "
+            f"{cause}. They are corrected in this log, and files of the robot do not contain the correction"
         )
 
 
@@ -346,7 +339,7 @@ def uneven_of(fitted: Unknowns) -> Uneven | None:
     def again(log: Log) -> Unknowns:
         start = copy(fitted)
         start.odometry = Odometry(log)
-        return fit(Unknowns(fitted.log, fitted.log.landmarks, fitted.sensor, start), ROUNDS)[0]
+        return refitted(start, fitted.log)
 
     even, same = again(levelled(log, [found])), again(log)
     if gain_over(even, same) < GAINED:
@@ -357,10 +350,7 @@ def uneven_of(fitted: Unknowns) -> Uneven | None:
 
 def _differences(solved: Unknowns) -> tuple[Array, Array, Array]:
     """z, the difference and its standard error (2,) of speeds and of turn rates; zero where it is not determined."""
-    u, information, exact = scores(solved, 0, -solved.by_differences())
-    P, most = np.diag(information), DETERMINED * np.diag(exact)
-    P = np.where(most < P, P, np.inf)
-    return np.abs(u) / np.sqrt(P), -u / P, P**-0.5
+    return each_alone(*scores(solved, 0, -solved.by_differences()))
 
 
 def without_slips(

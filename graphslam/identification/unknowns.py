@@ -52,6 +52,8 @@ from .corrections import corrected_sensor, moves
 from .declared import Parameters, ideal_values
 from .odometry import LEAST_EPSILON, NOISE, STILL, Edges, Odometry, sensor_parts, with_variances
 
+#: the columns of whole sightings, and of their residuals
+RANGE, BEARING = 0, 1
 #: the parameters of an unknown robot, with the standard deviations of their priors. The scale of ranges is not among them:
 #: only its quotient with the scale of the wheels is identifiable.
 PRIORS = {

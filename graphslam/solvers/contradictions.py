@@ -30,11 +30,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..edges import LandmarkPriors, ObservationEdges, PolarObservationEdges, PositionEdges, PriorEdges, RelationEdges
+from ..edges import (
+    LandmarkPriors,
+    ObservationEdges,
+    PolarObservationEdges,
+    PositionEdges,
+    PriorEdges,
+    RelationEdges,
+    RelativePoseEdges,
+)
 from ..errors import GraphError
 from ..graph import Graph
 from ..identification.odometry import NOTHING, STILL, Edges
@@ -45,7 +53,7 @@ from ..log import Log
 from ..maps.localization import SURE
 from ..maps.registration import evenly
 from ..models import additional_variances
-from ..se2 import Array, between, difference, perpendicular, turn_matrix
+from ..se2 import Array
 from .joint import JointFactor, JointGraph, motion_edges, times
 from .map_errors import FEWEST, displacements, in_map, likeliest_deviation, misfit, said_of_moved
 from .uncertainty import Uncertainty
@@ -276,14 +284,8 @@ def misfit_of_edges(graph: Graph, state: Array, kind: type[PositionEdges] | type
     for family in plain.families:
         if not isinstance(family, kind) or not family.count:
             continue
-        linear = family.linearize(state, state)
-        if len(linear.nodes) == 2:
-            followed = uncertainty.of_edges(linear)
-        else:
-            (B,), (nodes,) = linear.jacobians, linear.nodes
-            followed = B @ uncertainty.diagonal[nodes] @ np.swapaxes(B, 1, 2)
-        L = np.linalg.cholesky(family.information)
-        left = np.eye(L.shape[1]) - np.swapaxes(L, 1, 2) @ followed @ L
+        linear, L = family.linearize(state, state), np.linalg.cholesky(family.information)
+        left = np.eye(L.shape[1]) - np.swapaxes(L, 1, 2) @ uncertainty.of_edges(linear) @ L
         checked = (np.linalg.eigvalsh(left)[:, 0] > CHECKED) & (family.trusted > 0.5)
         e = np.einsum("eji,ej->ei", L, linear.residuals)[checked]
         q = np.einsum("ei,ei->e", e, np.linalg.solve(left[checked], e[:, :, None])[:, :, 0])
@@ -313,14 +315,13 @@ def doubt_of_relations(graph: Graph, state: Array) -> str:
     )
 
 
-def _motion_errors(graph: Graph, state: Array) -> tuple[Any, Array, Array] | None:
-    """The motion edges of a log with times, their errors (E, 3) and variances (E, 3, 3); None where there are too few."""
+def _tested_motions(graph: Graph) -> tuple[RelativePoseEdges, Array] | None:
+    """The motion edges of a log with times, and their variances (E, 3); None where there are too few."""
     edges, log = motion_edges(graph), graph.log
     if edges is None or log is None or log.times is None or edges.count < FEWEST_MOTIONS:
         return None
-    errors = difference(between(state[edges.first], state[edges.second]), edges.measured)
     try:
-        return edges, errors, np.linalg.inv(edges.information)
+        return edges, np.diagonal(np.linalg.inv(edges.information), axis1=1, axis2=2)
     except np.linalg.LinAlgError:
         # a motion of which nothing is known
         return None
@@ -333,7 +334,7 @@ def without_slips_of(solution: Solution, again: Callable[[Graph], Solution] | No
         again: the solution of another graph; without it, the sentences only say what is wrong.
     """
     graph = solution.graph
-    if graph is None or graph.log is None or _motion_errors(graph, solution.state) is None:
+    if graph is None or graph.log is None or _tested_motions(graph) is None:
         return solution, ()
     try:
         if again is None or graph.parameters is not None:
@@ -371,20 +372,15 @@ def _largest_slip(solution: Solution, least: float) -> Found:
     """
     graph, state = solution.graph, solution.state
     assert graph is not None and graph.log is not None and graph.log.times is not None
-    found = _motion_errors(graph, state)
-    if found is None:
+    if (found := _tested_motions(graph)) is None:
         return None, 1.0
-    edges, errors, covariances = found
-    a, b = state[edges.first], state[edges.second]
-    by_second = turn_matrix(-a[:, 2])
-    by_first = -by_second
-    by_first[:, :2, 2] = -perpendicular(between(a, b)[:, :2])
-    nothing = np.zeros((len(errors), 3, 0))
-    motions = Edges(edges.first, edges.second, errors, by_first, by_second, nothing, {}, edges.information)
+    edges, variances = found
+    linear, nothing = replace(edges, frame="body").linearize(state, state), np.zeros((edges.count, 3, 0))
+    B, A = linear.jacobians
+    motions = Edges(edges.first, edges.second, linear.residuals, B, A, nothing, {}, edges.information)
     times = graph.log.times[graph.steps[np.append(edges.first, edges.second[-1:])]]
-    ways = Motions(edges.measured, np.diagonal(covariances, axis1=1, axis2=2), times)
     system, _ = graph.linearize(state)
-    return largest_slip(motions, ways, system.own_factor(), graph.fixed, least)
+    return largest_slip(motions, Motions(edges.measured, variances, times), system.own_factor(), graph.fixed, least)
 
 
 def _with_controls(graph: Graph, noisier: Log, state: Array) -> Graph:

@@ -442,7 +442,7 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
     in_map = again if graph.reweighted else None
     if in_map is not None:
         solution, of_moved = contradictions.without_moved(solution, in_map)
-        graph = solution.graph or graph
+        graph = solution._solved_graph
         notes += [of_moved] * bool(of_moved)
     found, deviation, sure = contradictions.doubt_of_map(graph, solution.state, suspected=in_map is not None)
     wider = in_wider_map(solution, deviation, in_map) if deviation and in_map is not None else None
@@ -452,12 +452,10 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
         if wider is not None:
             solution, deviation = wider
             found = found.replace(contradictions.TAKEN_FOR_RIGHT, said_of_wider(deviation))
-            graph = solution.graph or graph
         notes.append(found)
     solution, of_odometry = contradictions.without_slips_of(solution, again)
-    graph = solution.graph or graph
     solution, lasting = with_lasting_errors(solution, again)
-    graph = solution.graph or graph
+    graph = solution._solved_graph
     of_frame = doubt_of_frame(graph, solution.state)
     of_positions = of_frame or doubt_of_positions(graph, solution.state, lasting=bool(lasting))
     common, of_scans = errors_of_scans(graph, solution.state)

@@ -189,18 +189,19 @@ class Uncertainty:
         return self._factor.solve(right)
 
     def of_edges(self, edges: Linearization) -> Array:
-        """The covariance B Omega^-1 B' (E, d, d) of each residual due to the state, of edges between two nodes."""
+        """The covariance B Omega^-1 B' (E, d, d) of each residual due to the state, of edges of one or two nodes."""
         if self._scan_errors.any():
             # residuals do not follow these errors as they do the noise
             return Uncertainty(self._graph, self._state).of_edges(edges)
-        first, second = edges.nodes
-        by_first, by_second = edges.jacobians
-        diagonal = self.diagonal
+        nodes, jacobians, diagonal = edges.nodes, edges.jacobians, self.diagonal
+        own = np.sum([B @ diagonal[k] @ np.swapaxes(B, 1, 2) for B, k in zip(jacobians, nodes)], axis=0)
+        if len(nodes) == 1:
+            return np.asarray(own)
+        (first, second), (by_first, by_second) = nodes, jacobians
         crossed = self._factor.covariances_between(first, second)
         crossed = crossed + self._spread[first] @ np.swapaxes(self._spread[second], 1, 2)
         crossed[np.isin(first, self._graph.fixed) | np.isin(second, self._graph.fixed)] = 0.0
         mixed = by_first @ crossed @ np.swapaxes(by_second, 1, 2)
-        own = sum(B @ diagonal[k] @ np.swapaxes(B, 1, 2) for B, k in ((by_first, first), (by_second, second)))
         return own + mixed + np.swapaxes(mixed, 1, 2)
 
     def joint_square(self, errors: Array) -> float:

@@ -17,7 +17,7 @@ from ..graph import Graph
 from ..identification.restricted_likelihood import fit, hold_needless
 from ..identification.result import ESTIMATE, LeftOut, RobotEstimate, without_found
 from ..identification.robot import FEWEST, check_robot_options, estimate_from_sightings, too_few
-from ..identification.sighting_errors import LAGS, Ids
+from ..identification.sighting_errors import Ids
 from ..identification.unknowns import PRIORS, Unknowns
 from ..log import Log
 from ..models import MotionModel, SensorModel
@@ -105,6 +105,5 @@ def _from_solution(log: Log, sensor: SensorModel, poses: Array, landmarks: Mappi
     none = np.zeros(len(partial), dtype=bool)
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors,
-        ids=Ids(partial.landmarks, none, none, ~none), correlations=np.zeros(len(LAGS) - 1), inflation=1.0,
-        nearly_exact=False, left_out=LeftOut(0, {ESTIMATE: 0.0}), untested=untested,
+        ids=Ids(partial.landmarks, none, none, ~none), left_out=LeftOut(0, {ESTIMATE: 0.0}), untested=untested,
     )  # fmt: skip

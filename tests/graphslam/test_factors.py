@@ -14,7 +14,6 @@ from graphslam import MotionModel, OptionError, SensorModel, textbook
 from graphslam.edges import freest_turn
 from graphslam.factors import AnchorFactor, MotionFactor, PriorFactor, RelativePoseFactor, VirtualMotionFactor
 from graphslam.factors.arguments import sighted_covariance
-from graphslam.factors.relative import _from_origin
 from graphslam.linear.precision import small_inverse
 from graphslam.se2 import between, compose, perpendicular, wrap
 
@@ -210,7 +209,7 @@ def test_the_covariance_of_one_sighting_is_the_sensor_models(z, theta, d):
 @given(st.floats(-2, 2), st.one_of(st.floats(-2, 2), st.sampled_from([0.0, 1e-9, 0.19999, 0.2])), st.floats(0.01, 3))
 def test_the_motion_from_the_origin_is_the_motion_models(nu, omega, dt):
     model = MotionModel(slip=0.05, sigma_v=0.02, sigma_omega=0.01)
-    moved, covariance = _from_origin(model, nu, omega, dt)
+    moved, covariance = model.moved([nu, omega], dt)
     np.testing.assert_allclose(moved, model.f([0, 0, 0], [nu, omega], dt), atol=1e-14)
     np.testing.assert_allclose(covariance, model.covariance([0, 0, 0], [nu, omega], dt), rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(small_inverse(covariance) @ covariance, np.eye(3), atol=1e-8)

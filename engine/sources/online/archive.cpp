@@ -8,7 +8,7 @@
 namespace vmslam::online {
 namespace {
 
-constexpr char title[] = "vmslam online 9";
+constexpr char title[] = "vmslam online 10";
 
 /// Writes values, or reads them where there are bytes to read. Fields are named one by one, because what lies between them is
 /// undefined.
@@ -50,7 +50,7 @@ class Archive {
     }
     void transfer(edges::Kernel& k) { (*this)(k.kind, k.c); }
     void transfer(Node& n) { (*this)(n.x, n.place_std, n.heading_std, n.edges, n.point, n.gone, n.held, n.borrows); }
-    void transfer(Edge& e) { (*this)(e.z, e.omega, e.lever, e.ends, e.next, e.form, e.oriented, e.robust, e.sighting); }
+    void transfer(Edge& e) { (*this)(e.z, e.omega, e.lever, e.ends, e.next, e.kind, e.oriented, e.robust); }
     void transfer(Prior& p) { (*this)(p.members, p.information, p.rhs, p.centre, p.relative, p.pivot); }
 
     std::string_view rest_;

@@ -28,8 +28,8 @@ struct BatchProblem {
         graph.emplace(static_cast<Index>(nodes.size()), std::move(points));
         for (const bool oriented : {true, false})
             for (const bool robust : {true, false}) add_edges(online, oriented, robust);
-        add_numbers(online, Form::range, edges::Number::range);
-        add_numbers(online, Form::bearing, edges::Number::bearing);
+        add_numbers(online, Kind::range, edges::Number::range);
+        add_numbers(online, Kind::bearing, edges::Number::bearing);
         for (const Prior& prior : priors) {
             std::vector<Index> members;
             for (const Id node : prior.members) members.push_back(number[node]);
@@ -58,11 +58,11 @@ struct BatchProblem {
         if (!positions.empty()) graph->add_pairs(std::make_unique<edges::PositionEdges>(std::move(positions), kernel));
     }
 
-    void add_numbers(const Graph& online, Form form, edges::Number kind) {
+    void add_numbers(const Graph& online, Kind measured, edges::Number kind) {
         std::vector<edges::NumberEdge> found;
         std::vector<Index> first, second;
         for (const Edge& edge : online.edges) {
-            if (edge.taken_out() || edge.form != form) continue;
+            if (edge.taken_out() || edge.kind != measured) continue;
             first.push_back(number[edge.ends[0]]);
             second.push_back(number[edge.ends[1]]);
             found.push_back({first.back(), second.back(), edge.z.x, edge.omega.xx, edge.lever});

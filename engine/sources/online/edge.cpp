@@ -37,7 +37,7 @@ Present present_number(const Graph& graph, const Edge& edge) {
     const Node &a = graph.nodes[edge.ends[0]], &b = graph.nodes[edge.ends[1]];
     const double c = a.axes.c, s = a.axes.s, dx = b.x[0] - a.x[0], dy = b.x[1] - a.x[1];
     const double ahead = c * dx + s * dy, left = c * dy - s * dx, omega = edge.omega.xx;
-    const edges::Number kind = edge.form == Form::range ? edges::Number::range : edges::Number::bearing;
+    const edges::Number kind = edge.kind == Kind::range ? edges::Number::range : edges::Number::bearing;
     const auto [e, n, distance] = edges::number_seen(kind, edge.z.x, ahead - edge.lever.x, left - edge.lever.y);
     Present now{};
     now.u = {-left, ahead};
@@ -66,7 +66,7 @@ Present present_position(const Graph& graph, const Edge& edge) {
 
 // e = (R(theta_i)' (p_j - p_i) - (z_x, z_y), theta_j - theta_i - z_t), g = w W e
 [[gnu::always_inline]] inline Present present(const Graph& graph, const Edge& edge) {
-    if (edge.form != Form::relative) [[unlikely]]
+    if (!edge.relative()) [[unlikely]]
         return edge.one_ended() ? present_position(graph, edge) : present_number(graph, edge);
     const Node &a = graph.nodes[edge.ends[0]], &b = graph.nodes[edge.ends[1]];
     double c = a.axes.c, s = a.axes.s, turn = 0.0;
@@ -122,7 +122,7 @@ struct Curvature {
     const Vector& g = now.g;
     const double gamma = (now.u.x * g.y - now.u.y * g.x) * (edge.one_ended() ? -1.0 : 1.0);
     // a single edge is indefinite along the direction in which the residual does not change
-    if (edge.form != Form::relative) return {std::max(gamma, 0.0), {}};
+    if (!edge.relative()) return {std::max(gamma, 0.0), {}};
     double a = W.xx, b = W.xy, c = W.yy;
     if (edge.oriented) a -= W.xt * W.xt / W.tt, b -= W.xt * W.yt / W.tt, c -= W.yt * W.yt / W.tt;
     // along the direction in which its residual does not change, the edge adds gamma + 2 h' u - h' P h, P its covariance.
@@ -157,7 +157,7 @@ bool outdated_other(const Graph& graph, const Edge& edge, const Present& now, do
 /// says nothing.
 [[gnu::always_inline]] inline bool outdated(const Graph& graph, const Edge& edge, const Present& now, double limit) {
     if (edge.robust && std::abs(now.weight - edge.weight) > std::min(reweighted, 3 * limit) * edge.weight + 0.01) return true;
-    if (edge.form != Form::relative) [[unlikely]]
+    if (!edge.relative()) [[unlikely]]
         return outdated_other(graph, edge, now, limit);
     const Symmetric& W = edge.omega;
     const double size = graph.nodes[edge.ends[0]].heading_std;

@@ -22,18 +22,9 @@ void place_first(const NewEdge& edge, Node& i, const Node& j) {
     i.begin({j.x[0] - c * edge.z.x + s * edge.z.y, j.x[1] - s * edge.z.x - c * edge.z.y, heading});
 }
 
-Form form_of(Kind kind) {
-    switch (kind) {
-        case Kind::range: return Form::range;
-        case Kind::bearing: return Form::bearing;
-        case Kind::position: return Form::position;
-        default: return Form::relative;
-    }
-}
-
 /// The standard deviations of the nodes of a new edge. A pose without sightings takes those of the pose before it.
-void rescale(const NewEdge& edge, Node& i, Node& j) {
-    const bool number = edge.kind == Kind::range || edge.kind == Kind::bearing;
+void rescale(const Edge& edge, Node& i, Node& j) {
+    const bool number = edge.single_number();
     double place_std = 1 / std::sqrt(number ? edge.omega.xx : std::min(edge.omega.xx, edge.omega.yy));
     double heading_std = edge.oriented ? 1 / std::sqrt(edge.omega.tt) : infinity;
     if (edge.kind == Kind::sighting) {
@@ -64,13 +55,9 @@ std::vector<Id> Graph::append(std::span<const NewEdge> added, Id known) {
     Id place = known;
     for (const NewEdge& from : added) {
         const auto number = static_cast<Id>(edges.size());
-        Edge& edge = edges.emplace_back();
-        edge.z = from.z, edge.omega = from.omega, edge.lever = from.lever, edge.oriented = from.oriented;
-        edge.form = form_of(from.kind);
-        edge.sighting = from.kind == Kind::sighting || edge.single_number();
+        Edge& edge = edges.emplace_back(Edge{from});
         has_single_numbers = has_single_numbers || edge.single_number();
-        edge.robust = kernel_of(edge) && (edge.sighting || from.doubted);
-        edge.ends[0] = from.first, edge.ends[1] = from.second;
+        edge.robust = kernel_of(edge) && (edge.robust || edge.seen());
         for (int side = 0; side < (edge.one_ended() ? 1 : 2); ++side) {
             const Id end = edge.ends[side];
             Node& node = nodes[end];
@@ -80,15 +67,16 @@ std::vector<Id> Graph::append(std::span<const NewEdge> added, Id known) {
             node.local = 0;
             touched.push_back(end);
         }
-        Node &i = nodes[from.first], &j = nodes[from.second];
-        if (from.second >= place) {
-            if (edge.form == Form::relative) place_second(from, i, j);
-            place = from.second + 1;
-        } else if (from.first >= place) {
-            place_first(from, i, j);
-            place = from.first + 1;
+        const auto [first, second] = edge.ends;
+        Node &i = nodes[first], &j = nodes[second];
+        if (second >= place) {
+            if (edge.relative()) place_second(edge, i, j);
+            place = second + 1;
+        } else if (first >= place) {
+            place_first(edge, i, j);
+            place = first + 1;
         }
-        rescale(from, i, j);
+        rescale(edge, i, j);
     }
     for (const Id node : touched) nodes[node].local = -1;
     return touched;

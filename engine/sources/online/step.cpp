@@ -92,7 +92,7 @@ bool OnlineSystem::add(Id known, std::span<const NewEdge> added, std::span<const
     }
     std::vector<Id> homes;
     for (const NewEdge& edge : added)
-        for (const Id end : {edge.first, edge.second})
+        for (const Id end : edge.ends)
             if (end < known) homes.push_back(graph_.nodes[end].home);
     const Undo undo(*this, homes, known);
     tree_.move_paths(graph_, homes);

@@ -75,7 +75,7 @@ bool OnlineSystem::begin_at(std::span<const Triple> x, std::span<const Id> newes
         node = Node{static_cast<const NodeValue&>(node)};
         node.begin(x[k]);
     }
-    for (Edge& edge : graph_.edges) edge = Edge{static_cast<const Measurement&>(edge)};
+    for (Edge& edge : graph_.edges) edge = Edge{static_cast<const NewEdge&>(edge)};
     memory_.cost = 0.0;
     tree_.clear();
     for (Prior& prior : priors_) {

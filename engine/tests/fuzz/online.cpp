@@ -34,27 +34,27 @@ class Drive {
         const Id from = poses_.back();
         poses_.push_back(system_.add_node());
         const auto [z, omega] = measured(Control{input_.number(0.5), input_.number(0.5), input_.positive(1.0)});
-        edges.push_back({from, poses_.back(), Kind::motion, true, z, omega});
+        edges.push_back({{from, poses_.back()}, Kind::motion, true, z, omega});
         for (std::size_t k = input_.below(5); k > 0; --k) {
             const auto [known_one, fresh] = landmarks_.try_emplace(input_.below(12), -1);
             if (fresh) known_one->second = system_.add_node();
             const Measured seen = measured(sighting(input_), oriented_, sensor_);
-            edges.push_back({poses_.back(), known_one->second, Kind::sighting, oriented_, seen.z, seen.omega});
+            edges.push_back({{poses_.back(), known_one->second}, Kind::sighting, oriented_, seen.z, seen.omega});
         }
         const Id pose = poses_.back();
         const Symmetric W = input_.positive(100.0) * Symmetric{1, 0, 1, 0, 0, 1};
         if (input_.one_in(4)) {
             const Id other = poses_[input_.below(poses_.size() - 1)];
-            edges.push_back({other, pose, Kind::relation, true, input_.place(2.0, 2.0), W});
+            edges.push_back({{other, pose}, Kind::relation, true, input_.place(2.0, 2.0), W});
         }
         if (input_.one_in(4)) {
             const Lever lever{input_.number(1.0), input_.number(1.0)};
             const bool oriented = input_.one_in(2), doubted = input_.one_in(2);
-            edges.push_back({pose, pose, Kind::position, oriented, input_.place(20.0, 3.0), W, lever, doubted});
+            edges.push_back({{pose, pose}, Kind::position, oriented, input_.place(20.0, 3.0), W, lever, doubted});
         }
         if (!landmarks_.empty() && input_.one_in(4)) {
             const Kind kind = input_.one_in(2) ? Kind::range : Kind::bearing;
-            edges.push_back({pose, landmarks_.begin()->second, kind, false, {input_.positive(10.0), 0, 0}, {W.xx}});
+            edges.push_back({{pose, landmarks_.begin()->second}, kind, false, {input_.positive(10.0), 0, 0}, {W.xx}});
         }
         if (system_.add(known, edges, {&poses_.back(), 1})) return;
         expect(system_.graph().nodes.size() == static_cast<std::size_t>(known), "a refused step leaves no node");

@@ -72,23 +72,24 @@ struct Linear {
     Lever h{};
 };
 
-/// What an edge measures: the second end in the axes of the first, the range or the bearing of the second end alone, or a
-/// point of its only node in the world.
-enum class Form : std::int8_t { relative, range, bearing, position };
+/// What an edge measures: the second end in the axes of the first, where `motion` leads to a new pose and `sighting` to a
+/// landmark; the range or the bearing of the second end alone; or a point of its only node in the world.
+enum class Kind : std::int8_t { motion, sighting, relation, range, bearing, position };
 
-/// What an edge measures; `oriented` where that is a heading, too. A single number stands in z.x and omega.xx. An edge of one
-/// node has it at both ends.
-struct Measurement {
-    Vector z{};
-    Symmetric omega{};
+/// An edge of a step. A single number stands in z.x and omega.xx, and its ends are known. A position has its node at both
+/// ends.
+struct NewEdge {
+    Id ends[2];  ///< -1 once the edge was taken out
+    Kind kind;
+    bool oriented;  ///< whether a heading is measured, too
+    Vector z;
+    Symmetric omega;
     Lever lever{};  ///< where the sensor of a number is on the robot, or the point that a position measures
-    Id ends[2] = {-1, -1};  ///< -1 once the edge was taken out
-    Id next[2] = {-1, -1};  ///< the next edge of either end
-    Form form = Form::relative;
-    bool oriented = true, robust = false, sighting = false;
+    bool robust = false;  ///< whether the robust kernel acts on it; it acts on all that is seen
+    Id next[2] = {-1, -1};  ///< the next edge of either end in the graph
 };
 
-struct Edge : Measurement {
+struct Edge : NewEdge {
     Linear linear;
     double weight = 0.0;  ///< the robust weight in the factor; 0 before the edge is in it
     double cost = 0.0, squares = 0.0;  ///< at the last evaluation: the cost, and e' W e
@@ -96,23 +97,12 @@ struct Edge : Measurement {
     Id place = 0;  ///< where the numbers of the other end begin in the front of the owner
 
     int side(Id node) const { return ends[0] == node ? 0 : 1; }
-    bool one_ended() const { return form == Form::position; }
-    bool single_number() const { return form == Form::range || form == Form::bearing; }
+    bool relative() const { return kind < Kind::range; }
+    bool one_ended() const { return kind == Kind::position; }
+    bool single_number() const { return kind == Kind::range || kind == Kind::bearing; }
+    bool seen() const { return kind == Kind::sighting || single_number(); }
     int rows() const { return single_number() ? 1 : oriented ? 3 : 2; }
     bool taken_out() const { return ends[0] < 0; }
-};
-
-/// An edge of a step. `motion` leads to a new pose, `sighting` to a landmark; a range or a bearing alone leads to a node that
-/// is known. A position has its pose at both ends.
-enum class Kind { motion, sighting, relation, range, bearing, position };
-struct NewEdge {
-    Id first, second;
-    Kind kind;
-    bool oriented;
-    Vector z;
-    Symmetric omega;
-    Lever lever{0.0, 0.0};
-    bool doubted = false;  ///< whether the robust kernel acts on a relation or position; it acts on all that is seen
 };
 
 struct Graph {
