@@ -193,11 +193,11 @@ void branch(Filter& f, const In<Index>& ancestors) {
     f.branch(a);
 }
 
-nb::tuple summary(SharedFilter& shared) {
-    History::Summary out = shared.with([](Filter& f) {
+nb::tuple summary(SharedFilter& shared, std::array<double, 2> lever) {
+    History::Summary out = shared.with([&](Filter& f) {
         std::vector<double> weights(f.particles());
         for (std::size_t i = 0; i < weights.size(); ++i) weights[i] = numbers::exp(f.log_weights()->row(0)[i]);
-        return f.history().summary(weights);
+        return f.history().summary(weights, lever);
     });
     return nb::make_tuple(rows_of(out.means), array(std::move(out.distinct)));
 }
