@@ -97,6 +97,9 @@ class FastSLAM1(ParticleFilter):
         if self._given is not None and self.options.smoothing:
             why = "trajectories that are drawn backwards do not know a map"
             raise OptionError(f"{why}: leave out smoothing, or the map")
+        if self._given is not None:
+            # the first sighting says whether headings are used
+            self._begin_maps(3 if self._given.oriented else 2)
 
     def _check_options(self) -> None:
         options = self.options
