@@ -10,9 +10,9 @@ forecast has a lower and an upper end.
 
 from __future__ import annotations
 
-import operator
 import os
 from dataclasses import dataclass, replace
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -280,15 +280,11 @@ LARGEST_WAY = 1e9
 
 def index(name: str, value: Any, count: int) -> int:
     """Return a whole number between 0 and count - 1, of Python or NumPy; True and False are refused."""
-    try:
-        if isinstance(value, (bool, np.bool_)):
-            raise TypeError
-        number = operator.index(value)
-    except TypeError:
-        raise OptionError(f"{name} must be a whole number, not {quoted(value)}") from None
-    if not 0 <= number < count:
-        raise OptionError(f"there is no {name} {number}: they are numbered 0 to {count - 1}")
-    return number
+    if not isinstance(value, Integral) or isinstance(value, bool):
+        raise OptionError(f"{name} must be a whole number, not {quoted(value)}")
+    if not 0 <= value < count:
+        raise OptionError(f"there is no {name} {value}: they are numbered 0 to {count - 1}")
+    return int(value)
 
 
 def measurements(ids: Any, sightings: ArrayLike, by_ids: bool) -> tuple[np.ndarray, Array]:
