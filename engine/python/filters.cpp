@@ -153,13 +153,18 @@ void place(Filter& f, LandmarkId id, const Numbers& mean, const Numbers& covaria
     f.place(id, three_of(mean), six_of(covariance));
 }
 
-void weigh_known(Filter& f, const Numbers& landmarks, const Numbers& z, const Numbers& q, const In<bool>& oriented) {
+void weigh_known(Filter& f, const Numbers& landmarks, const Numbers& covariances, const Numbers& z, const Numbers& q,
+                 const In<bool>& oriented) {
     const std::vector<Sighting> sightings = sightings_of(z, q);
-    require(landmarks.size() == 3 * sightings.size() && oriented.size() == sightings.size(),
+    require(landmarks.size() == 3 * sightings.size() && covariances.size() == 9 * sightings.size() &&
+                oriented.size() == sightings.size(),
             "as many landmarks as sightings");
     const std::vector<Vector> places = records<Vector>(landmarks, sightings.size());
     std::vector<KnownSighting> known;
-    for (std::size_t k = 0; k < sightings.size(); ++k) known.push_back({places[k], sightings[k], oriented.data()[k]});
+    for (std::size_t k = 0; k < sightings.size(); ++k) {
+        const double* const S = covariances.data() + 9 * k;
+        known.push_back({places[k], {S[0], S[1], S[4], S[2], S[5], S[8]}, sightings[k], oriented.data()[k]});
+    }
     f.weigh_known(known);
 }
 
