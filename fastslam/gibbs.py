@@ -317,20 +317,22 @@ class ParticleGibbs:
         _check_memory(log, self.options)
         # the filters check log, models, seed and threads, and that the log can be used
         self._seeds = _seeds(seed, 2 * self.options.chains)
-        plain = log.replace(**dict.fromkeys(log.measured)) if log.measured else log
-        self._filters = [
-            FastSLAM2(plain, seed=s, threads=threads, motion=motion, sensor=sensor, start=start, particles=STARTS)
-            for s in self._seeds[::2]
-        ]
-        # where its noise is estimated, biases are taken out of it
-        log = self._filters[0].log or log
+        log = log.replace(**dict.fromkeys(log.measured)) if log.measured else log
+        self._filters = list[FastSLAM2]()
+        for each in self._seeds[::2]:
+            begun = FastSLAM2(
+                log, seed=each, threads=threads, motion=motion, sensor=sensor, start=start, particles=STARTS
+            )
+            self._filters.append(begun)
+            # where noise is estimated, and biases are taken out, this is done once
+            log, motion, sensor = begun.log or log, begun.motion, begun.sensor
         if log.num_poses < 2:
             raise LogError(f"{log.name} has no motion to smooth")
         if len(log.steps) == 0:
             missing = f"{log.name} has no sightings of range and bearing"
             raise OptionError(f"{missing}: particle Gibbs would only repeat its noise model")
         self.log = log
-        self.motion, self.sensor = self._filters[0].motion, self._filters[0].sensor
+        self.motion, self.sensor = begun.motion, begun.sensor
         self._problem = Problem.of(log, self.motion, self.sensor)
         self._threads = threads
 

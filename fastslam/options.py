@@ -10,9 +10,9 @@ forecast has a lower and an upper end.
 
 from __future__ import annotations
 
-import operator
 import os
 from dataclasses import dataclass, replace
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -175,8 +175,8 @@ class GibbsOptions:
 
 #: bytes of poses, weights and buffers; of one pose of a history; of the history's index of one landmark
 BUFFERS, POSE, INDEX = 100, 32, 8
-#: numbers of a landmark without and with heading; where the association is unknown a landmark takes several times as much
-NUMBERS, ANONYMOUS = {2: 5, 3: 9}, 4
+#: numbers of a landmark without and with heading; where the association is unknown, and how many are then kept of each
+NUMBERS, ANONYMOUS, KEPT = {2: 5, 3: 9}, 11, 1.5
 #: stored poses per particle where the filter resamples often, and where it does so rarely
 OFTEN, RARELY = 22, 120
 #: the most sightings of a landmark that are integrated together, and so the most poses that are kept of it; the engine has
@@ -199,14 +199,15 @@ class Forecast:
 
 def forecast(log: Log, options: FilterOptions, *, maps: bool) -> Forecast:
     """The memory of a filter on a log; ``maps`` says whether each particle has a map of its own."""
-    landmark = 8 * NUMBERS[log.sightings.shape[1]]
-    if options.landmark_update == "joint":
-        landmark += 8 * (3 * JOINT + 1)
-    if not options.uses_ids and log.classes is not None:
-        landmark += 8 * len(np.unique(log.classes))
+    landmarks, numbers = float(len(log.landmark_ids)), NUMBERS[log.sightings.shape[1]]
+    if not options.for_ids(log.identified).uses_ids:
+        # how many there are, only the true map tells of sightings without ids
+        landmarks = KEPT * max(landmarks, len(log.true_landmarks or ()))
+        numbers = ANONYMOUS + (0 if log.classes is None else len(np.unique(log.classes)))
+    elif options.landmark_update == "joint":
+        numbers += 3 * JOINT + 1
     spare = int(np.max(np.bincount(log.steps), initial=0)) + 1
-    seen = len(log.landmark_ids) * (1 if options.uses_ids else ANONYMOUS) + spare
-    fixed = BUFFERS + (seen * landmark + len(log.landmark_ids) * INDEX if maps else 0)
+    fixed = BUFFERS + ((landmarks + spare) * 8 * numbers + len(log.landmark_ids) * INDEX if maps else 0)
     # arrays that grow are copied into others of twice the size
     often, rarely = (min(count, 2 * log.num_poses) for count in (OFTEN, RARELY))
     if options.ess_threshold == 0:
@@ -279,15 +280,11 @@ LARGEST_WAY = 1e9
 
 def index(name: str, value: Any, count: int) -> int:
     """Return a whole number between 0 and count - 1, of Python or NumPy; True and False are refused."""
-    try:
-        if isinstance(value, (bool, np.bool_)):
-            raise TypeError
-        number = operator.index(value)
-    except TypeError:
-        raise OptionError(f"{name} must be a whole number, not {quoted(value)}") from None
-    if not 0 <= number < count:
-        raise OptionError(f"there is no {name} {number}: they are numbered 0 to {count - 1}")
-    return number
+    if not isinstance(value, Integral) or isinstance(value, bool):
+        raise OptionError(f"{name} must be a whole number, not {quoted(value)}")
+    if not 0 <= value < count:
+        raise OptionError(f"there is no {name} {value}: they are numbered 0 to {count - 1}")
+    return int(value)
 
 
 def measurements(ids: Any, sightings: ArrayLike, by_ids: bool) -> tuple[np.ndarray, Array]:

@@ -178,7 +178,8 @@ class ParticleState:
         landmarks (`FilterResult.smoothed`) without this fault.
 
         Raises:
-            OptionError: a past pose or an unknown landmark is asked for, or the filter has taken another step.
+            OptionError: a past pose or an unknown landmark is asked for, no particle has all landmarks of a joint covariance,
+                or the filter has taken another step.
         """
         if poses is None and landmarks is None:
             poses = self.step
@@ -197,6 +198,8 @@ class ParticleState:
 
         gaussians = [self._current_filter()._gaussians_of(id) for id in ids]
         among = weights * np.all([owned for _, _, owned in gaussians], axis=0) if ids else weights
+        if not among.any():
+            raise OptionError("no particle has all of these landmarks: name fewer of them, or leave out joint")
         among /= among.sum()
         samples = [self.poses] * times + [means for means, _, _ in gaussians]
         none = np.zeros((len(self.poses), 0))

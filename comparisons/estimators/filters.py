@@ -97,10 +97,17 @@ def mcl(log: Log, options: RunOptions) -> EstimatorResult:
 
 def on_map(log: Log, options: RunOptions) -> tuple[Log, tuple[str, ...]]:
     """The log without sightings of landmarks that are not on the map of the options, and a note; the same without a map."""
-    if options.landmark_map is None or (known := np.isin(log.landmarks, list(options.landmark_map))).all():
+    if options.landmark_map is None:
         return log, ()
-    left_out = f"{np.sum(~known)} of {len(known)} sightings are of landmarks that are not on the map, and left out"
-    return log.with_sightings(known), (left_out,)
+    known, alone = np.isin(log.landmarks, list(options.landmark_map)), log.partial_sightings
+    # sightings with a range or a bearing alone
+    single = np.isin([] if alone is None else alone.landmarks, list(options.landmark_map))
+    total, outside = len(known) + len(single), int(np.sum(~known) + np.sum(~single))
+    if not outside:
+        return log, ()
+    kept = None if alone is None else alone.among(single)
+    left_out = f"{outside} of {total} sightings are of landmarks that are not on the map, and left out"
+    return log.with_sightings(known, partial_sightings=kept), (left_out,)
 
 
 #: the particle filters by the name of their estimator, as names in `fastslam`, which is imported when one is used

@@ -153,13 +153,18 @@ void place(Filter& f, LandmarkId id, const Numbers& mean, const Numbers& covaria
     f.place(id, three_of(mean), six_of(covariance));
 }
 
-void weigh_known(Filter& f, const Numbers& landmarks, const Numbers& z, const Numbers& q, const In<bool>& oriented) {
+void weigh_known(Filter& f, const Numbers& landmarks, const Numbers& covariances, const Numbers& z, const Numbers& q,
+                 const In<bool>& oriented) {
     const std::vector<Sighting> sightings = sightings_of(z, q);
-    require(landmarks.size() == 3 * sightings.size() && oriented.size() == sightings.size(),
+    require(landmarks.size() == 3 * sightings.size() && covariances.size() == 9 * sightings.size() &&
+                oriented.size() == sightings.size(),
             "as many landmarks as sightings");
     const std::vector<Vector> places = records<Vector>(landmarks, sightings.size());
     std::vector<KnownSighting> known;
-    for (std::size_t k = 0; k < sightings.size(); ++k) known.push_back({places[k], sightings[k], oriented.data()[k]});
+    for (std::size_t k = 0; k < sightings.size(); ++k) {
+        const double* const S = covariances.data() + 9 * k;
+        known.push_back({places[k], {S[0], S[1], S[4], S[2], S[5], S[8]}, sightings[k], oriented.data()[k]});
+    }
     f.weigh_known(known);
 }
 
@@ -193,11 +198,11 @@ void branch(Filter& f, const In<Index>& ancestors) {
     f.branch(a);
 }
 
-nb::tuple summary(SharedFilter& shared) {
-    History::Summary out = shared.with([](Filter& f) {
+nb::tuple summary(SharedFilter& shared, std::array<double, 2> lever) {
+    History::Summary out = shared.with([&](Filter& f) {
         std::vector<double> weights(f.particles());
         for (std::size_t i = 0; i < weights.size(); ++i) weights[i] = numbers::exp(f.log_weights()->row(0)[i]);
-        return f.history().summary(weights);
+        return f.history().summary(weights, lever);
     });
     return nb::make_tuple(rows_of(out.means), array(std::move(out.distinct)));
 }

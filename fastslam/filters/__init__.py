@@ -29,9 +29,8 @@ from graphslam.association import ids_by_map
 from graphslam.association.problem import Classes
 from graphslam.graph.trilateration import WaitingNumbers, edges_of_rows
 from graphslam.maps.landmark_map import as_map
-from graphslam.se2 import Array, wrap
+from graphslam.se2 import Array
 
-from ..motions import robot_poses
 from ..options import JOINT, WITH_IDS
 from ..particles import LandmarkEstimate, weighted_covariance, weighted_mean
 from .particle_filter import ParticleFilter
@@ -97,6 +96,9 @@ class FastSLAM1(ParticleFilter):
         if self._given is not None and self.options.smoothing:
             why = "trajectories that are drawn backwards do not know a map"
             raise OptionError(f"{why}: leave out smoothing, or the map")
+        if self._given is not None:
+            # the first sighting says whether headings are used
+            self._begin_maps(3 if self._given.oriented else 2)
 
     def _check_options(self) -> None:
         options = self.options
@@ -302,28 +304,15 @@ class FastSLAM2(FastSLAM1):
         return CORRECTED_EXACT if self.options.proposal_weight == "exact" else CORRECTED_LINEARISED
 
 
-def _log_normal(e: Array, V: Array) -> Array:
-    """log N(e; 0, V) of many e (N, n), V (N, n, n): for small n several times as fast as a factorisation of each V."""
-    left, V = list(e.T), np.ascontiguousarray(np.moveaxis(V, 0, -1))
-    total = np.full(len(e), -0.5 * len(left) * np.log(2 * np.pi))
-    for i in range(len(left)):
-        total -= 0.5 * (left[i] ** 2 / V[i, i] + np.log(V[i, i]))
-        for k in range(i + 1, len(left)):
-            factor = V[k, i] / V[i, i]
-            left[k] = left[k] - factor * left[i]
-            V[k, i + 1 :] -= factor * V[i, i + 1 :]
-    return total
-
-
 class MonteCarloLocalization(ParticleFilter):
     """The particle filter on a known map: the weight is multiplied by N(z; h(x, m), Q).
 
     psi is used where both the sighting and the landmark have a heading, and ignored otherwise.
 
-    Of landmarks with their own covariance C the likelihood is N(z; h(x, m), Q + H C H'), computed in numpy, which takes ten
-    times as long as exact ones. The filter does not learn where they are: each sighting counts as if the landmark were off
-    anew, and correlations between landmarks are not used. So where few are seen again and again, the covariances of poses
-    stay too small; graph SLAM in the map, or `FastSLAM1` with ``map``, does not have this fault.
+    Of landmarks with their own covariance C the likelihood is N(z; h(x, m), Q + H C H'). The filter does not learn where they
+    are: each sighting counts as if the landmark were off anew, and correlations between landmarks are not used. So where few
+    are seen again and again, the covariances of poses stay too small; graph SLAM in the map, or `FastSLAM1` with ``map``,
+    does not have this fault.
 
     Args:
         log: controls and sightings; None for a filter that is used with `move` and `observe`.
@@ -366,28 +355,14 @@ class MonteCarloLocalization(ParticleFilter):
                 raise OptionError(f"landmark {j} was seen but is not on the known map: {advice}")
 
     def _weigh(self, ids: np.ndarray, sightings: Array, q: Array, rows: slice | None = None) -> bool:  # noqa: ARG002
-        known = [self._landmarks[j] for j in ids.tolist()]
-        if not self._landmarks.covariances.keys().isdisjoint(ids.tolist()):
-            self._engine.weigh_by(self._log_likelihoods(ids, sightings, q))
-            return True
-        oriented = np.array([len(m) == 3 and sightings.shape[1] == 3 for m in known])
-        self._engine.weigh_known(np.array([m if len(m) == 3 else [*m, 0.0] for m in known]), sightings, q, oriented)
+        places, covariances = np.zeros((len(ids), 3)), np.zeros((len(ids), 3, 3))
+        oriented = np.zeros(len(ids), dtype=bool)
+        for k, j in enumerate(ids.tolist()):
+            n = len(self._landmarks[j])
+            places[k, :n], covariances[k, :n, :n] = self._landmarks[j], self._covariance_of(j)
+            oriented[k] = n == sightings.shape[1] == 3
+        self._engine.weigh_known(places, covariances, sightings, q, oriented)
         return True
-
-    def _log_likelihoods(self, ids: np.ndarray, sightings: Array, q: Array) -> Array:
-        """The sums (N,) of log N(z; h(x, m), Q + H C H') over sightings (k, n) of variances q (k, n)."""
-        poses, total = robot_poses(self.sensor, self._engine.poses), np.zeros(self.particles)
-        # a particle on its landmark has no bearing to it: its likelihood is 0
-        with np.errstate(all="ignore"):
-            for j, z, variances in zip(ids.tolist(), sightings, q):
-                n = min(len(z), len(self._landmarks[j]))
-                place = self._landmarks[j][:n]
-                H = self.sensor.H(poses, place)
-                V = H @ self._covariance_of(j)[:n, :n] @ np.swapaxes(H, 1, 2) + np.diag(variances[:n])
-                e = z[:n] - self.sensor.h(poses, place)
-                e[:, 1:] = wrap(e[:, 1:])
-                total += _log_normal(e, V)
-        return np.where(np.isfinite(total), total, -np.inf)
 
     def _covariance_of(self, id: int) -> Array:
         n = len(self._landmarks[id])

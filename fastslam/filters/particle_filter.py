@@ -323,12 +323,13 @@ class ParticleFilter(ABC):
 
     def result(self) -> FilterResult:
         """Return the estimate so far."""
-        mean_poses, ancestors = self._engine.summary()
+        ahead, left = self.sensor.offset
+        mean_poses, ancestors = self._engine.summary((-ahead, -left))
         best_map = self._map(self._engine.best, provisional=False)
         poses = self.trajectory()
         result = FilterResult(
             estimator=type(self).__name__, log="" if self.log is None else self.log.name, options=self.options,
-            motion=self.motion, sensor=self.sensor, poses=poses, mean_poses=robot_poses(self.sensor, mean_poses),
+            motion=self.motion, sensor=self.sensor, poses=poses, mean_poses=mean_poses,
             landmarks={j: estimate.mean for j, estimate in best_map.items()},
             landmark_covariances=self._errors_of(best_map),
             log_weights=self._engine.log_weights, log_evidence=self._log_evidence, ess=np.array(self._ess_history),
@@ -351,15 +352,15 @@ class ParticleFilter(ABC):
         return found
 
     def _smoothed(self, mean_poses: Array) -> Samples | None:
-        """Trajectories drawn by backward simulation, linearised at the mean history of the sensor, if there are any."""
+        """Trajectories drawn by backward simulation, linearised at the mean history, if there are any."""
         if self._record is None:
             return None
         if not (mixture := self._mixture(np.exp(self._engine.log_weights), provisional=False)):
             return None
         marks, o = np.array([mixture[j].mean for j in sorted(mixture)]), self.options
         # a copy: what the filter draws later does not depend on whether it was asked for a result
-        rng = deepcopy(self._rng)
-        return self._record.smooth(self._engine, o.smoothing, rng, self.sensor, mean_poses, marks, o.threads)
+        rng, middle = deepcopy(self._rng), self.sensor.mount(mean_poses)
+        return self._record.smooth(self._engine, o.smoothing, rng, self.sensor, middle, marks, o.threads)
 
     def _association(self, poses: Array) -> dict[str, Any]:  # noqa: ARG002
         """The fields ``association`` and ``unconfirmed`` of the result, where they are defined."""
@@ -454,6 +455,9 @@ class ParticleFilter(ABC):
         """Weigh the particles by sightings of this step; whether the weights are new."""
         missing = np.isnan(sightings)
         if missing.any():
+            # whole sightings first: a landmark has its place from one, also where a number alone was named before it
+            order = np.argsort(missing.any(axis=1), kind="stable")
+            ids, sightings, missing = ids[order], sightings[order], missing[order]
             placed = self._with_place(ids, sightings)
             ids, sightings, missing = ids[placed], np.where(missing, (1.0, 0.0), sightings)[placed], missing[placed]
             if not len(ids):

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import fastslam.options
@@ -13,6 +14,7 @@ from comparisons.studies.sweep import study_particles, sweep
 from fastslam import FastSLAM1, FilterOptions, MonteCarloLocalization
 from fastslam.options import available_memory, forecast
 from graphslam import Log, OptionError, SlamError, simulate
+from graphslam.log import UNIDENTIFIED
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +56,10 @@ def test_the_forecast_grows_with_particles_maps_and_histories(log: Log) -> None:
     assert most(particles=2000) == 2 * most(particles=1000)
     assert most(maps=False) < most() < most(association="maximum-likelihood")
     assert most(ess_threshold=0.0) >= most()
+    # a log without ids has as many landmarks
+    hidden = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
+    without = forecast(hidden, FilterOptions(), maps=True).most
+    assert without == pytest.approx(most(association="maximum-likelihood"), rel=0.02)
     assert str(forecast(log, FilterOptions(particles=10**6), maps=False)).endswith(" GB")
 
 

@@ -18,6 +18,7 @@ from graphslam import (
     LandmarkMap,
     Log,
     MotionModel,
+    PartialSightings,
     SensorModel,
     load,
     save,
@@ -105,6 +106,14 @@ def test_sightings_of_landmarks_that_localisation_does_not_know_are_left_out(log
     result = comparisons.run(logs[1], estimators=["mcl", "graph"], landmark_map=some, particles=100)
     assert any("not on the map, and left out" in note for note in result["mcl"].notes)
     assert 0 in result["graph"].landmarks
+    # a range alone of an unknown landmark keeps localisation from nothing, either
+    log = load(logs[1]).without_orientation()
+    alone = PartialSightings(steps=[3, 4], landmarks=[0, 1], ranges=[2.0, 2.0], bearings=[np.nan, np.nan])
+    known = LandmarkMap({j: m[:2] for j, m in some.items()})
+    every = log.with_sightings(log.landmarks != 0, partial_sightings=alone)
+    result = comparisons.run(every, estimators=["mcl"], landmark_map=known, particles=100)
+    left_out = f"1 of {len(every.steps) + 2} sightings are of landmarks that are not on the map, and left out"
+    assert left_out in result["mcl"].notes
 
 
 @pytest.mark.slow

@@ -273,3 +273,14 @@ def test_a_phantom_is_dropped_where_the_sensor_s_limits_say_that_it_should_be_se
     # near a limit, known or learned, it may be overlooked
     assert landmarks(max_range=5.2, field_of_view=2.0) == 2
     assert landmarks(max_range=8.0) == 2
+
+
+def test_landmarks_that_no_particle_has_together_have_no_joint_covariance() -> None:
+    log = simulate(seed=1, clean=True, orientation=False, steps=60, landmarks=20)
+    slam = FastSLAM1(log, particles=50, seed=1, stage="motion", **UNKNOWN)
+    next(state for state in slam if state.step == 22)
+    ids = list(slam.landmarks)
+    assert np.isfinite(slam.covariance(landmarks=ids)).all()
+    with pytest.raises(OptionError, match="no particle has all of these landmarks"):
+        slam.covariance(landmarks=ids, joint=True)
+    assert np.isfinite(slam.covariance(landmarks=ids[:2], joint=True)).all()

@@ -9,6 +9,7 @@ from importance_sampling import Moments, importance
 
 import comparisons
 from fastslam import GibbsOptions, GibbsResult, ParticleGibbs
+from fastslam.filters import particle_filter
 from fastslam.gibbs import LowRank, Target, judge
 from fastslam.motions import Problem
 from graphslam import Graph, Log, LogError, MotionModel, OptionError, PoseRelations, SensorModel, simulate, solve
@@ -300,12 +301,16 @@ def test_bad_logs() -> None:
         ParticleGibbs(log.replace(landmarks=np.full(8, UNIDENTIFIED)))
 
 
-def test_biases_that_are_estimated_are_taken_out_of_what_is_sampled() -> None:
+def test_biases_that_are_estimated_are_taken_out_of_what_is_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
     log = simulate(seed=3, steps=200, clean=True)
     turned = log.sightings + np.array([0.0, 0.15, 0.0])
     log = log.replace(sightings=turned, simulated=False, motion=None, sensor=None)
     known, _ = known_noise(log)
-    problem = ParticleGibbs(log, chains=1)._problem
+    estimates: list[Log] = []
+    monkeypatch.setattr(particle_filter, "known_noise", lambda log: (estimates.append(log), known_noise(log))[1])
+    problem = ParticleGibbs(log, chains=3)._problem
+    # the filters of the other chains are given what the first one has found
+    assert [each.motion is None for each in estimates] == [True]
     np.testing.assert_allclose(problem.z, known.sightings, atol=1e-12)
     assert np.abs(problem.z - log.sightings).max() > 0.01
 

@@ -113,3 +113,14 @@ def test_localisation_heeds_the_covariances_of_its_map(offset):
     assert np.allclose(filter.result().map.covariances[3], covariances[3])
     tiny = {j: 1e-16 * np.eye(len(m)) for j, m in places.items()}
     assert np.allclose(weighed(LandmarkMap(places, tiny))[1], weighed(places)[1], atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2, MonteCarloLocalization])
+def test_the_landmarks_of_a_map_are_there_before_the_first_sighting(kind):
+    known = {1: (1.0, 2.0, 0.3), 2: (3.0, 1.0, 0.1)}
+    found = kind(particles=5, map=known)
+    assert found.landmarks.keys() == found.result().landmarks.keys() == known.keys()
+    assert np.all(found.covariance(landmarks=1) < 1e-9)
+    # sightings without psi leave the headings out
+    found.observe([1], [(2.2, 1.1)])
+    np.testing.assert_allclose(found.landmarks[2][:2], (3.0, 1.0), atol=1e-5)

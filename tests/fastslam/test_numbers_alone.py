@@ -98,6 +98,18 @@ def test_a_landmark_with_a_mirror_image_waits():
             assert np.hypot(*(filter_.landmarks[1] - m)) < 0.05
 
 
+@pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
+@pytest.mark.parametrize("number", [(3.0, NAN), (NAN, 2.0)])
+def test_the_order_of_numbers_and_whole_sightings_in_a_scan_does_not_matter(kind, number):
+    """The landmark stands where the whole sighting puts it, also where a number of it is named first."""
+    found = []
+    for scan in ([(3.0, 2.0), number], [number, (3.0, 2.0)]):
+        filter_ = kind(particles=10, sensor=SENSOR, seed=0)
+        filter_.observe([5, 5], scan)
+        found.append(filter_.landmarks[5])
+    np.testing.assert_allclose(found, np.tile([3 * np.cos(2), 3 * np.sin(2)], (2, 1)), atol=1e-9)
+
+
 def test_what_cannot_be():
     filter_ = MonteCarloLocalization(map={1: (0.0, 1.0)}, particles=5)
     for sighting in ([NAN, NAN], [NAN, 0.1, 0.2], [-1.0, NAN]):

@@ -109,6 +109,28 @@ def test_moves_by_hand_carry_the_sensor() -> None:
     np.testing.assert_allclose(slam.trajectory()[0], [0.5, 0.2, 0.3], atol=1e-12)
 
 
+def test_mean_poses_are_those_of_the_robot_and_not_of_its_sensor() -> None:
+    slam = FastSLAM1(particles=500, motion=MotionModel(on=1.0, oo=1.0), sensor=AHEAD)
+    for _ in range(3):
+        slam.move([1.0, 0.3], 1.0)
+    np.testing.assert_allclose(slam.result().mean_poses[-1], slam.pose, atol=1e-12)
+
+
+@pytest.mark.parametrize("weight", ["exact", "linearised"])
+@pytest.mark.parametrize("spread", [np.zeros((3, 3)), np.diag([1e-2, 0.0, 1e-3]), np.full((3, 3), 1e-3)])
+def test_a_motion_may_have_no_noise_in_some_direction(spread: np.ndarray, weight: str) -> None:
+    """The evidence is that of FastSLAM 1.0, whose error is at most 0.01 with these particles."""
+    places, evidence = np.array(list(PLACES.values())), []
+    for kind in (FastSLAM1, FastSLAM2):
+        slam = kind(particles=20_000, sensor=SensorModel(), proposal_weight=weight)
+        slam.observe(list(PLACES), slam.sensor.h(np.zeros(3), places))
+        slam.move(motion=[0.5, 0.0, 0.1], covariance=spread)
+        slam.observe(list(PLACES), slam.sensor.h(np.array([0.5, 0.0, 0.1]), places))
+        assert np.isfinite(slam.covariance()).all() and slam.state.ess > 10_000
+        evidence.append(slam.result().log_evidence)
+    assert evidence[1] == pytest.approx(evidence[0], abs=0.02)
+
+
 def test_unknown_ids_need_an_association() -> None:
     log = drive(CENTRED).replace(landmarks=np.full(39, UNIDENTIFIED))
     for kind in FILTERS:

@@ -23,9 +23,7 @@ class Proposal {
     Weighed weighed() const { return !corrects() || weighted_ ? Weighed::at_pose : Weighed::at_prediction; }
     Gaussian predict(std::size_t first) const {
         const Pose x = read_pose(poses_, first);
-        if (prediction_) return prediction_->of(x);
-        const Lanes zero{};
-        return {x.x, x.y, x.t, zero, zero, zero, zero, zero, zero};
+        return prediction_ ? prediction_->of(x) : certain(x);
     }
     Drawn draw(std::size_t first, const Gaussian& belief) const {
         if (!corrects()) return {belief.mean(), Lanes{}};
@@ -165,9 +163,12 @@ void Filter::weigh(const Proposal& proposal, const Scan& scan) {
 void Filter::weigh_known(std::span<const KnownSighting> sightings) {
     ranges_.each([&](std::size_t lo, std::size_t hi) {
         for (std::size_t i = lo; i < hi; i += lanes) {
+            const Pose pose = read_pose(*poses_, i);
             Lanes value{};
+            // N(z; h(x, m), Q + H S H')
             for (const KnownSighting& k : sightings)
-                value += known_likelihood(read_pose(*poses_, i), k.landmark, k.sighting, k.oriented);
+                value += k.exact() ? known_likelihood(pose, k.landmark, k.sighting, k.oriented)
+                                   : predicted_likelihood(certain(pose), common(k.landmark, k.covariance), k.sighting, k.oriented);
             numbers::store(log_likelihoods_.row(0) + i, value);
         }
     });

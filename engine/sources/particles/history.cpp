@@ -108,7 +108,7 @@ std::vector<std::array<double, 3>> History::trajectory(std::size_t particle) con
     return out;
 }
 
-History::Summary History::summary(std::span<const double> weights) {
+History::Summary History::summary(std::span<const double> weights, const std::array<double, 2>& lever) {
     prune();
     // the weight of a row is the sum of the weights of its living descendants
     std::vector<double> mass(stored_rows(), 0.0);
@@ -123,6 +123,8 @@ History::Summary History::summary(std::span<const double> weights) {
             if (level > 0) mass[origins_[row].parent] += mass[row];
         }
         if (!is_step_[level]) continue;
+        // the sums of the points of all rows
+        x += cosine * lever[0] - sine * lever[1], y += sine * lever[0] + cosine * lever[1];
         const double heading = sine == 0.0 && cosine == 0.0 ? 0.0 : numbers::atan2(sine, cosine);
         out.means.push_back({x, y, numbers::wrap_angle(heading)});
         out.distinct.push_back(static_cast<std::int64_t>(first_[level + 1] - first_[level]));

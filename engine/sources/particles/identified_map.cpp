@@ -30,10 +30,7 @@ Blocks IdentifiedMap::spare() {
 }
 
 void IdentifiedMap::place(LandmarkId id, const Vector& mean, const Symmetric& covariance, History& history) {
-    const auto all = [](double x) { return numbers::all<Lanes>(x); };
-    const Gaussian landmark{all(mean.x),        all(mean.y),        all(mean.t),
-                            all(covariance.xx), all(covariance.xy), all(covariance.xt),
-                            all(covariance.yy), all(covariance.yt), all(covariance.tt)};
+    const Gaussian landmark = common(mean, covariance);
     Column& column = columns_[id] = {history.level_to_write(), spare(), {}};
     for (std::size_t i = 0; i < particles_; i += lanes) write_gaussian(column.numbers, oriented_, i, landmark);
 }

@@ -35,7 +35,8 @@ Symmetric Chord::covariance(double nu, double omega) const {
 }
 
 Prediction predict(const Motion& motion, bool exact) {
-    if (const auto* const whole = std::get_if<WholeMotion>(&motion.model)) return {0.0, whole->mean, whole->covariance, 0.0};
+    if (const auto* const whole = std::get_if<WholeMotion>(&motion.model))
+        return {0.0, whole->mean, whole->covariance, exact ? lacking(whole->covariance) : 0.0};
     const auto& u = std::get<ControlMotion>(motion.model);
     const Chord f = chord(u.nu, u.omega, u.dt);
     const Symmetric AMA = f.covariance(u.nu_std * u.nu_std, u.omega_std * u.omega_std);

@@ -1,5 +1,7 @@
 #include "vmslam/particles/proposal.hpp"
 
+#include <algorithm>
+
 namespace vmslam::particles {
 
 using namespace numbers;
@@ -19,6 +21,13 @@ double positive_root(double x) { return std::sqrt(std::fmax(x, 0.0)); }
 
 double widened(double epsilon, double variance) {
     return std::fmax(std::fmax(epsilon, least_share * variance), least_epsilon);
+}
+
+double lacking(const Symmetric& P) {
+    const double least = widened(0.0, P.xx + P.yy + P.tt);
+    const LowerRoot L(P, true);
+    const double smallest = std::min({L.xx, L.yy, L.tt});
+    return smallest * smallest < least ? least : 0.0;
 }
 
 WeightedDraw::WeightedDraw(const Motion& motion) : motion_(motion) {

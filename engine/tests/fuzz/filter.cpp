@@ -85,8 +85,13 @@ class Steps {
         std::vector<std::int64_t> names(sightings.size());
         if (kind_ == Kind::known) {
             std::vector<KnownSighting> known;
-            for (const auto& one : sightings)
-                known.push_back({{input_.number(3.0), input_.number(3.0), 0.0}, one, oriented_});
+            for (const auto& one : sightings) {
+                const double variance = input_.below(2) == 0 ? 0.0 : input_.positive(0.1);
+                known.push_back({{input_.number(3.0), input_.number(3.0), 0.0},
+                                 {variance, 0.0, variance, 0.0, 0.0, variance},
+                                 one,
+                                 oriented_});
+            }
             filter_.weigh_known(known);
         } else if (kind_ == Kind::ids) {
             for (auto& name : names) name = static_cast<std::int64_t>(input_.below(8));

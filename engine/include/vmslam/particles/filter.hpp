@@ -19,11 +19,14 @@ namespace vmslam::particles {
 /// with that of the lectures, as if h and f were linear.
 enum class Version { motion, corrected_exact, corrected_linearised };
 
-/// A sighting of a landmark at a known place; `oriented`: psi is used.
+/// A sighting of a landmark on a known map, with the covariance S of its place; `oriented`: psi is used.
 struct KnownSighting {
     Vector landmark;
+    Symmetric covariance;
     Sighting sighting;
     bool oriented;
+
+    bool exact() const { return covariance.xx == 0.0 && covariance.yy == 0.0 && covariance.tt == 0.0; }
 };
 
 class Proposal;

@@ -26,6 +26,18 @@ struct Gaussian {
     Pose mean() const { return {x, y, h}; }
 };
 
+/// The same Gaussian for all particles.
+inline Gaussian common(const Vector& mean, const Symmetric& S) {
+    const auto all = [](double x) { return numbers::all<Lanes>(x); };
+    return {all(mean.x), all(mean.y), all(mean.t), all(S.xx), all(S.xy), all(S.xt), all(S.yy), all(S.yt), all(S.tt)};
+}
+
+/// Poses that are known.
+inline Gaussian certain(const Pose& pose) {
+    const Lanes zero{};
+    return {pose.x, pose.y, pose.t, zero, zero, zero, zero, zero, zero};
+}
+
 /// Range, bearing and psi of a sighting, or their variances.
 struct Reading {
     double range, bearing, psi;

@@ -26,6 +26,9 @@ namespace vmslam::particles {
 /// The epsilon of the proposal, for a motion whose control gives the `variance` (the trace of A A').
 double widened(double epsilon, double variance);
 
+/// The epsilon of the proposal for a whole motion: 0 where its covariance P has an inverse.
+double lacking(const Symmetric& P);
+
 /// f(x, u + diag(std) c), the heading not wrapped.
 Pose driven(const Pose& x, const ControlMotion& u, const Lanes& c0, const Lanes& c1);
 
