@@ -13,10 +13,29 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..errors import LogError, named
-from ..errors.checks import FARTHEST, FASTEST, FOUR_TURNS, LONGEST, QUICKEST, WHOLE_TURN, checked_offset, first
+from ..errors.checks import (
+    FARTHEST,
+    FASTEST,
+    FOUR_TURNS,
+    QUICKEST,
+    WHOLE_TURN,
+    checked_offset,
+    first,
+)
 from ..se2 import Array, wrap
 from . import cells
-from .geometry import WHEELS, chosen_axes, controls_of, motion_of, polar, seen_from
+from .geometry import (
+    WHEELS,
+    chosen_axes,
+    controls_between,
+    controls_of,
+    counts_turns,
+    motion_of,
+    polar,
+    seen_from,
+    sideways_poses,
+    sideways_speed,
+)  # fmt: skip
 from .rows import (
     AXES,
     MOST_LEFT_OUT,
@@ -234,7 +253,14 @@ class Reader:
         ns = cells.nanoseconds(self.table, column, self._unit(role), self.kind, day)
         if self.has("nanosec"):
             self.need("nanosec")
-            more = cells.nanoseconds(self.table, self.found["nanosec"].column, "ns", self.kind)
+            more = cells.nanoseconds(self.table, (beside := self.found["nanosec"].column), "ns", self.kind)
+            if (k := first((more < 0) | (more >= cells.UNITS["s"]))) is not None:
+                title = self.table.title(beside)
+                message = (
+                    f"{title} is {more[k]}, but beside seconds it has the nanoseconds of a second, below 1,000,000,000"
+                )
+                advice = f"if it is the whole time, state columns='{self.kind}.{role}={beside + 1}'"
+                raise self.table.error(k, f"{message}; {advice}")
             ns = cells.added(self.table, column, ns, more, self.kind)
         if (unit := self.options.unit("time", self.kind)) is not None and cells.is_dated(self.table, column):
             note = f"{self.table.title(column)} holds dates or durations: the stated unit {unit} is not used"
@@ -336,12 +362,8 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     rows = rows[order]
     more, doubts = cells.repeated_times("odometry", table, ns, rows, np.arange(len(ns))[order])
     notes += of_wheels + more
-    dt = np.diff(ns) / 1e9
-    if len(dt) and not reader.stated("t") and (middle := float(np.median(dt))) > LONGEST:
-        unit, word = ("ms", "milli") if middle < 5e3 else ("us", "micro") if middle < 5e6 else ("ns", "nano")
-        apart = f"neighbouring rows are {middle:g} s apart (median): are the times in {word}seconds?"
-        add = f"Then add time='odometry={unit}'; if they are seconds, add time='odometry=s'"
-        raise table.error(None, f"{apart} {add}")
+    if not reader.stated("t"):
+        cells.check_spacing(table, reader.found["t"].column, ns)
     if rows.shape[1] == 3:
         rows, ns, sideways = _controls(reader, rows, ns)
     elif "omega" in motion:
@@ -360,7 +382,7 @@ def _sideways_speed(reader: Reader, speed: Array) -> tuple[cells.Doubt, ...]:
     lateral = reader.numbers("vy", finite=False)[:, 0]
     # it is no column of the controls
     del reader.used["vy"]
-    return cells.sideways_speed(reader.table, reader.table.title(reader.found["vy"].column), speed, lateral)
+    return sideways_speed(reader.table, reader.table.title(reader.found["vy"].column), speed, lateral)
 
 
 def _controls(reader: Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.ndarray, tuple[cells.Doubt, ...]]:
@@ -368,12 +390,12 @@ def _controls(reader: Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.n
     # of several rows with one time the last holds
     last = np.append(np.diff(ns) > 0, True)
     poses, ns = poses[last], ns[last]
-    controls, sideways = cells.controls_between(poses, np.diff(ns) / 1e9)
+    controls, sideways = controls_between(poses, np.diff(ns) / 1e9)
     speed, turn = np.abs(controls[:-1]).T
     heading = "theta" if reader.has("theta") else "x"
     reader.refuse_many(heading, turn, QUICKEST, "the headings turn by {:g} rad/s: are they in degrees?", "angles")
     reader.refuse_many("x", speed, FASTEST, "the poses move by {:g} m/s: are they in mm?")
-    return controls, ns, cells.sideways_poses(reader.table, sideways)
+    return controls, ns, sideways_poses(reader.table, sideways)
 
 
 def sightings_of(table: Table, options: TableOptions) -> Timed:
@@ -468,7 +490,7 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
         raise table.error(None, "no row has all numbers of a pose; leave out an empty column, or the ground truth")
     few = f"{table.source}: {np.sum(~known)} of {len(known)} rows have no pose and are left out"
     notes = (few,) * (not known.all())
-    if rows.shape[1] == 3 and not reader.has("qz") and not cells.counts_turns(rows[known]):
+    if rows.shape[1] == 3 and not reader.has("qz") and not counts_turns(rows[known]):
         reader.refuse("theta", rows[:, 2], FOUR_TURNS, TURNED)
     rows[:, 2:] = wrap(rows[:, 2:])
     kept = np.flatnonzero(known)

@@ -52,11 +52,26 @@ def test_the_numbers_are_those_of_the_tables(expected):
         text("bearing,id,t,range", [(b, j, t, r) for t, j, r, b in SEEN]),
         text("t_ms,id,range_mm,phi", [(t * 1000, j, r * 1000, b) for t, j, r, b in SEEN]),
         text('"t","id","range","bearing"', SEEN),
+        text("t,id,range,bearing", SEEN).encode("utf-16"),
+        text("timeStamp,tagId,rangeMillimeters,bearing [rad.]", [(t, j, r * 1000, b) for t, j, r, b in SEEN]),
         text("t,id,range,bearing,comment", [(*row, "seen") for row in SEEN]).replace("'", '"'),
         text("t;id;range;bearing", SEEN, ";").replace(".", ","),
         "\n".join(["t,id,range,bearing", "", "# a comment", *text("", SEEN).splitlines()[1:]]) + "\n\n",
     ],
-    ids=["semicolons", "tabs", "comment", "byte-order mark", "order", "units", "quotes", "words", "comma", "blank"],
+    ids=[
+        "semicolons",
+        "tabs",
+        "comment",
+        "byte-order mark",
+        "order",
+        "units",
+        "quotes",
+        "UTF-16",
+        "camel case",
+        "words",
+        "comma",
+        "blank",
+    ],
 )
 def test_forms_of_the_same_table(drive, expected, sightings):
     log = load(drive(sightings=sightings))
@@ -358,6 +373,9 @@ def test_names_of_columns():
     assert plain("speed_kmh") == plain("speed km/h") == ("speed", "kmh")
     assert plain("t [µs]") == plain("t_μs") == ("t", "us")  # micro sign, Greek letter
     assert plain("range_min") == ("range_min", None)
+    assert plain("speed [km h-1]") == ("speed", "km/h")
+    assert plain("yawRate (deg s^-1)") == ("yaw_rate", "degrees")
+    assert plain("speed [ticks/s]") == ("speed", "ticks/s")
 
 
 @pytest.mark.parametrize(
@@ -400,9 +418,13 @@ def test_times_in_microseconds(drive, expected, micro):
 def test_columns_of_exported_messages(drive, expected):
     """The names that `rostopic echo -p` and PlotJuggler give."""
     names = "%time,field.header.seq,field.twist.twist.linear.x,field.twist.twist.linear.y,field.twist.twist.angular.z"
-    rows = [(int(t * 1e9) + 10**18, k, v, 0.0, w) for k, (t, v, w) in enumerate(ODOMETRY)]
+    place, turn = "field.pose.pose.position", "field.pose.pose.orientation"
+    names += "".join(f",{place}.{axis}" for axis in "xyz") + "".join(f",{turn}.{axis}" for axis in "xyzw")
+    rows = [(int(t * 1e9) + 10**18, k, v, 0.0, w, *(7 * [0.5])) for k, (t, v, w) in enumerate(ODOMETRY)]
     log = load(drive(odometry=text(names, rows), recipe="[odometry]\nclock = -1e9\n"))
     np.testing.assert_array_equal(log.controls[:, 1], expected.controls[:, 1])
+    imu = text("t,speed,angular_velocity.x,angular_velocity.z", [(t, v, 9.0, w) for t, v, w in ODOMETRY])
+    np.testing.assert_array_equal(load(drive(odometry=imu, recipe="")).controls, expected.controls)
 
 
 def test_the_truth_may_be_of_an_antenna(drive):
