@@ -152,15 +152,16 @@ def _read(path: Path, options: ReadOptions) -> Log:
 
 
 def _write(log: Log, path: Path) -> None:
-    pairs = np.column_stack([log.steps, log.landmarks])
+    pairs, models = np.column_stack([log.steps, log.landmarks]), (log.motion, log.sensor)
+    of_book = (None, None) if log.dt is None else (MotionModel(), SensorModel())
     obstacles = {
         "the truth": log.true_poses is not None or log.true_landmarks is not None,
         "motions of several controls": log.composite,
         "a log with controls but without motions": log.dt is not None and len(log.dt) == 0,
         "steps of different length": log.dt is not None and len(np.unique(log.dt)) > 1,
         "sightings of landmarks without ids": not log.identified,
-        "other noise models than the book's": log.motion not in (None, MotionModel())
-        or log.sensor not in (None, SensorModel()),
+        "other noise than the book's, which its logs with controls have": models != of_book
+        and not (log.simulated and models == (None, None)),
         "a start time": log.start_time != 0,
         "two sightings of one landmark in one step": len(np.unique(pairs, axis=0)) < len(pairs),
         "the classes of sightings": log.classes is not None,

@@ -45,10 +45,11 @@ from .rows import (
     Fault,
     TableOptions,
     finite_fault,
+    fix_faults,
     range_faults,
     sound_rows,
     spike_faults,
-)
+)  # fmt: skip
 from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, RATES, Kept, Table, find, ordered
 
 TURNED = "the heading is {:g} rad: does it count many turns, or is it in degrees?"
@@ -213,6 +214,7 @@ class Reader:
         if "x" in columns and self.kind == "sightings":
             other = "z" if self.options.axes == "optical" else "y"
             faults += range_faults(np.hypot(columns["x"], columns.get(other, np.ones(len(self.table)))))
+        faults += fix_faults(columns)
         kept, notes = sound_rows(
             len(self.table), "sightings" if self.kind == "sightings" else "rows", faults, self.table.error,
             strict=self.options.strict, source=self.table.source,
@@ -351,8 +353,8 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     ns = reader.times()
     if "x" not in motion:
         rows = reader.numbers(*motion)
-        speed = rows[:, : 2 if "left" in motion else 1]
-        reader.refuse_many(motion[0], np.abs(speed).max(axis=1), FASTEST, "the speed is {:g} m/s: is it in mm/s?")
+        fastest = np.abs(rows[:, : 2 if "left" in motion else 1]).max(axis=1)
+        reader.refuse_many(motion[0], fastest, FASTEST, "the speed is {:g} m/s: is it in mm/s?")
         if "left" in motion:
             rows, of_wheels = controls_of(table, rows, options.track)
         sideways = _sideways_speed(reader, rows[:, 0])
@@ -369,9 +371,8 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     elif "omega" in motion:
         message = "the turn rate is {:g} rad/s: is it in degrees per second?"
         reader.refuse_many("omega", np.abs(rows[:, 1]), QUICKEST, message)
-    speeds = dict.fromkeys(("nu", "left", "x"), "speed unit")
-    turns = dict.fromkeys(("omega", "theta"), "turn rate unit")
-    doubts += sideways + reader.answered(t="time unit", **speeds, **turns)
+    speed, turn = "speed unit", "turn rate unit"
+    doubts += sideways + reader.answered(t="time unit", nu=speed, left=speed, x=speed, omega=turn, theta=turn)
     return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts)
 
 
@@ -460,8 +461,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     doubts += reader.answered(range="range unit", x="range unit")
     classes, remarks = reader.classes()
     classes = None if classes is None else classes[order]
-    alone = (f"{table.source}: the sensor measures the {single} alone",) if single else ()
-    notes = (*found.notes, *taken, *empty, *more, *remarks, *alone)
+    notes = (*found.notes, *taken, *empty, *more, *remarks)
     return Timed(table, ns, rows, reader.described(), ids, notes, doubts, classes, found.names)
 
 

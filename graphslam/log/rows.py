@@ -147,6 +147,15 @@ def range_faults(ranges: np.ndarray, bearings: np.ndarray | None = None) -> list
     return [fault(ranges < 0, "a negative range", cause), fault(ranges == 0, "a range of 0", nothing)]
 
 
+def fix_faults(columns: Mapping[str, np.ndarray]) -> list[Fault]:
+    """The rows whose latitude and longitude (N,), if columns have these, are both 0: what receivers give without a fix."""
+    if not {"latitude", "longitude"} <= columns.keys():
+        return []
+    zero = (columns["latitude"] == 0) & (columns["longitude"] == 0)
+    message = "latitude and longitude are 0, as of a receiver without a fix: remove such rows"
+    return [Fault(zero, "latitude and longitude 0, as of a receiver without a fix", lambda _: message)]
+
+
 #: a single value is wrong beyond this many times the usual largest one, where no other is above twice that
 _SPIKE, _USUAL = 10.0, 2.0
 

@@ -133,7 +133,9 @@ class Columns(Table):
 
 
 def _column(values: Any) -> np.ndarray:
-    """A column as an array; durations of Python, which NumPy keeps as objects, as its own."""
+    """A column as an array; durations of Python, which NumPy keeps as objects, as its own; masked numbers as NaN."""
+    if isinstance(values, np.ma.MaskedArray) and np.any(values.mask):
+        values = values.astype(float).filled(np.nan)
     array = np.asarray(values)
     durations = array.dtype.kind == "O" and array.size and all(isinstance(value, timedelta) for value in array.flat)
     return array.astype("timedelta64[us]") if durations else array
@@ -224,8 +226,8 @@ _NAMES = {
     "range": "range r distance dist rho l d ranges",
     "bearing": "bearing b phi azimuth angle bearings bearing_angle theta beta",
     "orientation": "orientation psi orient",
-    "t1": "t1 time1 t_1 time_1 t_from from_time from t_a stamp1",
-    "t2": "t2 time2 t_2 time_2 t_to to_time to t_b stamp2",
+    "t1": "t1 time1 t_1 time_1 t_from from_time t_a stamp1",
+    "t2": "t2 time2 t_2 time_2 t_to to_time t_b stamp2",
     "dx": "dx delta_x d_x x",
     "dy": "dy delta_y d_y y",
     "dtheta": "dtheta delta_theta d_theta dyaw dheading theta yaw",
@@ -251,7 +253,7 @@ NAMES: dict[str, tuple[str, ...]] = {
     **{role: _words(names) for role, names in _NAMES.items()},
 }
 #: names too short or too general to be recognised at the end of a longer one
-WHOLE = _words("v w r l d b kind type from to std sx sy t1 t2 lat lon lng long")
+WHOLE = _words("v w r l d b kind type std sx sy t1 t2 lat lon lng long")
 _UNITS = {
     "s": "s sec secs seconds",
     "ms": "ms msec millis milliseconds",

@@ -444,3 +444,17 @@ def test_times_since_1970_may_be_floating_point_numbers(factor, unit):
     sightings = {"t": seen * factor, "id": [7, 7], "range": [2.0, 1.0], "bearing": [0.1, 0.2]}
     log = Log.from_tables({"t": times * factor, "nu": 0 * t + 0.5, "omega": 0 * t + 0.3}, sightings, time=unit)
     np.testing.assert_allclose(log.dt.sum(), 2.0, atol=1e-6)
+
+
+def test_fixes_of_a_receiver_without_one_are_left_out(drive):
+    """The plane of the others touched the Earth at latitude and longitude 0, 3,000 km away."""
+    rows = [(0.3, 0, 0, 0.1), *(20 * [(7.25, 60.0, 25.0, 0.1)])]
+    log = load(drive(positions=text("t,lat,lon,sigma", rows)))
+    np.testing.assert_array_equal(log.positions.places[:, :2], 0.0)
+    assert any("1 of 21 rows has latitude and longitude 0" in note for note in log.notes)
+
+
+def test_masked_numbers_are_none():
+    nu = np.ma.array(NU, mask=np.arange(len(NU)) == 5)
+    log = Log.from_tables({"t": T, "nu": nu, "omega": OMEGA}, np.array(SEEN))
+    assert "odometry: 1 of 201 rows has 'nu' empty, NaN or infinite: left out (row 6)" in log.notes
