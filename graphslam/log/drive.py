@@ -19,7 +19,6 @@ from ..errors.checks import (
     FOUR_TURNS,
     QUICKEST,
     WHOLE_TURN,
-    checked_offset,
     first,
 )
 from ..se2 import Array, wrap
@@ -448,12 +447,12 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
         rename = "; if it alone is in degrees, name its column orientation_deg instead"
         reader.refuse("orientation", psi[:, 0], WHOLE_TURN, beyond, also=rename)
         rows = np.column_stack([rows, sign * psi])
-    if options.centre == "robot" and any(options.sensor_offset or ()):
+    if options.centre == "robot" and options.sensor_offset not in (None, (0.0, 0.0)):
         if (alone_at := np.flatnonzero(np.isnan(rows[:, :2]).any(axis=1))).size:
             message = "a range or a bearing alone from the robot's centre says nothing about the sensor at its offset"
             advice = "give it as the sensor measured it, with centre='sensor'"
             raise table.error(int(alone_at[0]), f"{message}: {advice}")
-        rows = seen_from(checked_offset("sensor_offset", options.sensor_offset), rows)
+        rows = seen_from(options.sensor_offset, rows)
     ns, order, more = ordered(reader.table, ns)
     ids, rows = found.numbers[order], rows[order]
     rows[:, 1:] = wrap(rows[:, 1:])

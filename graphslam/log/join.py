@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import LogError, OptionError, quoted
-from ..errors.checks import FOUR_TURNS, WHOLE_TURN, check_known, check_type, checked_offset, first
+from ..errors.checks import FOUR_TURNS, WHOLE_TURN, check_known, check_type, first
 from ..models import ANYWHERE, SensorModel, additional_variances
 from ..se2 import Array, wrap
 from .cells import COVERED, DOUBTFUL_NOISE, Doubt, ids_of, seconds, time_faults
@@ -142,9 +142,9 @@ class Drive:
     sightings: Timed
     truth: Timed | None = None
     landmarks: Mapping[int, Array] | None = None
-    sensor_offset: tuple[float, ...] | None = None
+    sensor_offset: tuple[float, float] | None = None
     notes: tuple[str, ...] = ()
-    truth_offset: tuple[float, ...] | None = None
+    truth_offset: tuple[float, float] | None = None
     relations: Timed | None = None
     positions: Timed | None = None
 
@@ -183,14 +183,14 @@ class Drive:
             **streams,
             landmarks=self.sightings.ids,
             options=reading,
-            truth_offset=(0.0, 0.0) if self.truth_offset is None else checked_offset("truth_offset", self.truth_offset),
+            truth_offset=self.truth_offset or (0.0, 0.0),
             true_landmarks=self.landmarks,
             classes=self.sightings.classes,
             origin=origin / 1e9,
             name=name,
             notes=(*self.notes, *remarks),
             doubts=tuple(doubts),
-            sensor=None if self.sensor_offset is None else SensorModel(offset=self.sensor_offset),  # type: ignore[arg-type]
+            sensor=None if self.sensor_offset is None else SensorModel(offset=self.sensor_offset),
         )
 
 

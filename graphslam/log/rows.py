@@ -250,11 +250,11 @@ class TableOptions:
         "counterclockwise", "Direction in which bearings and orientations grow",
         choices=("counterclockwise", "clockwise"),
     )  # fmt: skip
-    sensor_offset: tuple[float, ...] | None = option(
+    sensor_offset: tuple[float, float] | None = option(
         None, "Position of the sensor on the robot: forward, left", "m", default_text="0,0, or as the bag says",
         metavar="FORWARD,LEFT",
     )  # fmt: skip
-    truth_offset: tuple[float, ...] | None = option(
+    truth_offset: tuple[float, float] | None = option(
         None, "Point of the robot that the truth is of, such as a GPS antenna: forward, left", "m", default_text="0,0",
         metavar="FORWARD,LEFT",
     )  # fmt: skip
@@ -277,8 +277,8 @@ class TableOptions:
                 check_choice(name, unit, choices)
         for name in ("sensor_offset", "truth_offset"):
             if (offset := getattr(self, name)) is not None:
-                checked_offset(name, offset)
-        for name in ("axes", "centre", "bearings", "track", "sensor_yaw"):
+                object.__setattr__(self, name, checked_offset(name, offset))
+        for name in ("axes", "centre", "bearings", "track", "sensor_yaw", "strict"):
             declared_in(TableOptions)[name].checked(getattr(self, name))
         for table in TABLES:
             self.clock(table)

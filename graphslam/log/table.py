@@ -135,7 +135,7 @@ class Columns(Table):
 def _column(values: Any) -> np.ndarray:
     """A column as an array; durations of Python, which NumPy keeps as objects, as its own; masked numbers as NaN."""
     if isinstance(values, np.ma.MaskedArray) and np.any(values.mask):
-        values = values.astype(float).filled(np.nan)
+        values = np.ma.filled(values.astype(float), np.nan)
     array = np.asarray(values)
     durations = array.dtype.kind == "O" and array.size and all(isinstance(value, timedelta) for value in array.flat)
     return array.astype("timedelta64[us]") if durations else array

@@ -143,6 +143,8 @@ def test_psi_from_the_centre_of_the_robot_turns_with_the_bearing(drive):
     """psi = theta + phi - m_theta, so that the heading of a landmark is the same from the centre and from the sensor."""
     tables = [drive(sightings=text("t,id,range,bearing,orientation", [(*row, 0.4) for row in SEEN])) / "odometry.csv"]
     tables.append(tables[0].with_name("sightings.csv"))
+    ahead = Log.from_tables(*tables, sensor_offset=0.7, centre="robot")
+    assert ahead.equals(Log.from_tables(*tables, sensor_offset=np.array([0.7, 0.0]), centre="robot"))
     log = Log.from_tables(*tables, sensor_offset=(0.7, -0.4), centre="robot")
     headings = log.sensor.h_inverse(np.zeros((len(SEEN), 3)), log.sightings)[:, 2]
     np.testing.assert_allclose(headings, [b - 0.4 for *_, b in SEEN], atol=1e-12)

@@ -479,8 +479,8 @@ def test_tables_that_are_compressed(drive):
 
 def test_a_recipe_is_checked(tmp_path):
     path = tmp_path / "import.toml"
-    path.write_text("sensor_offset = [1]\n")
-    with pytest.raises(FormatError, match="import.toml:1: sensor_offset should be a list of two numbers"):
+    path.write_text("sensor_offset = [1, 2, 3]\n")
+    with pytest.raises(FormatError, match=r"import.toml:1: sensor_offset must be \(ahead, to the left\) in m"):
         read_recipe(path)
 
 
