@@ -54,10 +54,6 @@ class Recipe:
         """The place of a table in the recipe: its file, topic, frames; None where there is none."""
         return self.places.get(table, {}).get(what)
 
-    def strictly(self, strict: bool) -> Recipe:
-        """The same, with tables that are read strictly where ``strict`` is set."""
-        return replace(self, options=replace(self.options, strict=True)) if strict else self
-
 
 def read_recipe(path: Path) -> Recipe:
     """Read a recipe.
@@ -176,7 +172,7 @@ def _read(folder: Path, options: ReadOptions) -> Log:
     if not folder.is_dir():
         raise FormatError(folder, None, "a log of tables is a folder with odometry.csv and sightings.csv, not a file")
     with errors_name(folder):
-        recipe = recipe_if_any(folder / RECIPE).strictly(options.strict)
+        recipe = merged(recipe_if_any(folder / RECIPE), {"strict": options.strict or None})
         return drive_of(folder, recipe).log(options, folder.resolve().name)
 
 

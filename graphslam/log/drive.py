@@ -254,14 +254,12 @@ class Reader:
         ns = cells.nanoseconds(self.table, column, self._unit(role), self.kind, day)
         if self.has("nanosec"):
             self.need("nanosec")
-            more = cells.nanoseconds(self.table, (beside := self.found["nanosec"].column), "ns", self.kind)
+            beside = self.found["nanosec"].column
+            more = cells.nanoseconds(self.table, beside, "ns", self.kind)
             if (k := first((more < 0) | (more >= cells.UNITS["s"]))) is not None:
-                title = self.table.title(beside)
-                message = (
-                    f"{title} is {more[k]}, but beside seconds it has the nanoseconds of a second, below 1,000,000,000"
-                )
-                advice = f"if it is the whole time, state columns='{self.kind}.{role}={beside + 1}'"
-                raise self.table.error(k, f"{message}; {advice}")
+                what = f"{self.table.title(beside)} is {more[k]}, and no part of a second beside seconds"
+                advice = f"if it is the whole time, state columns='{self.kind}.t={beside + 1}'"
+                raise self.table.error(k, f"{what}: {advice}")
             ns = cells.added(self.table, column, ns, more, self.kind)
         if (unit := self.options.unit("time", self.kind)) is not None and cells.is_dated(self.table, column):
             note = f"{self.table.title(column)} holds dates or durations: the stated unit {unit} is not used"
@@ -346,6 +344,8 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     reader = Reader("odometry", table, options)
     motion, of_wheels = motion_of(table, reader.found, options.track), tuple[str, ...]()
     needed = motion if "x" not in motion or reader.has("qz", "qw") else (*motion, "theta")
+    if not reader.has(*needed) and {"range", "bearing"} <= find("sightings", table, ROLES["sightings"], {}, {}).keys():
+        raise table.error(None, "it has the columns of sightings: are the two tables exchanged?")
     instead = ", and none for x, y and theta instead of nu and omega"
     reader.need("t", *needed, instead="" if "x" in motion or reader.has(*motion) else instead)
     table = reader.leave_out(*(_POSE if "x" in motion else motion))

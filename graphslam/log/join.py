@@ -203,13 +203,8 @@ def read_drive(
         LogError: a table lacks a column or has an impossible value.
     """
     options = options or TableOptions()
-    try:
-        moved = odometry_of(_in_order("odometry", odometry, options), options)
-        seen = sightings_of(_in_order("sightings", sightings, options, moved), options)
-    except LogError:
-        if (exchanged := _exchanged(odometry, sightings, options)) is not None:
-            raise exchanged from None
-        raise
+    moved = odometry_of(_in_order("odometry", odometry, options), options)
+    seen = sightings_of(_in_order("sightings", sightings, options, moved), options)
     read: dict[str, Any] = {}
     for kind, table in others.items():
         if table is not None:
@@ -221,18 +216,6 @@ def read_drive(
     return Drive(
         moved, seen, landmarks=landmarks, sensor_offset=options.sensor_offset, truth_offset=options.truth_offset, **read
     )
-
-
-def _exchanged(odometry: Any, sightings: Any, options: TableOptions) -> LogError | None:
-    """The error of two tables of which each has the names of the columns of the other; None for others."""
-    with suppress(LogError):
-        moved = Reader("odometry", table_of(sightings, "sightings"), options)
-        seen = Reader("sightings", table_of(odometry, "odometry"), options)
-        motion = moved.has("nu", "omega") or moved.has("x", "y", "theta")
-        if motion and moved.table.names and seen.table.names and seen.has("range", "bearing"):
-            what = f"it has the columns of sightings, and {moved.table.source} those of odometry"
-            return seen.table.error(None, f"{what}: exchange the two tables")
-    return None
 
 
 #: the time between two drives [s]. `estimate_robot` and checks judge by time what belongs together: with a second between

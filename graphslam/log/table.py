@@ -276,10 +276,7 @@ OTHER_UNITS = frozenset(
     )
 )
 #: units at the end of a name; range_min and x_in are rather a minimum and an input
-_ENDS = UNITS | {
-    unit: unit
-    for unit in OTHER_UNITS - {"in", "min", "mi", "h", "hz", "kn", "kt", "grad", "foot", "d", "day", "px", "count"}
-}
+_ENDS = UNITS | {unit: unit for unit in OTHER_UNITS.difference(_words("in min mi h hz kn kt grad foot d day px count"))}
 #: what is per second
 RATES = ("left", "right", "nu", "vy", "omega")
 #: what each column measures, a key of `rows.UNITS_OF`
@@ -354,19 +351,16 @@ def find(
         for role in roles:
             if role in found:
                 continue
+            others = [each for other in roles if other != role for each in NAMES[other]]
             for name in NAMES[role]:
                 # orientation_x is no x
-                longer = (
-                    [f"_{each}" for other in roles for each in NAMES[other] if each.endswith(f"_{name}")]
-                    if tail
-                    else []
-                )
+                longer = tuple(f"_{each}" for each in others if each.endswith(f"_{name}"))
                 fits = [
                     k
                     for k, (own, _) in enumerate(names)
                     if k not in taken | left_alone
                     and (own == name or (tail and name not in WHOLE and own.endswith(f"_{name}")))
-                    and not any(own.endswith(each) for each in longer)
+                    and not own.endswith(longer)
                 ]
                 if len(fits) > 1 and role in dispensable:
                     break

@@ -214,7 +214,7 @@ class TextTable(Table):
 
 def _check_thousands(path: Path, text: str) -> None:
     """Raise `FormatError` where all numbers with commas, or all with points, have these between thousands."""
-    for mark, other in (",.", ".,"):
+    for mark, other in (",.", ".,") if "." in text else ():
         found = (each[0] for each in re.finditer(rf"(?<![\w.,:])[+-]?\d+\{mark}[\d.,]*(?![\w.,:])", text))
         number = next(found, "")
         grouped = all(map(_GROUPED.fullmatch, chain([number], found)))

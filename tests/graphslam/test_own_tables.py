@@ -344,12 +344,10 @@ def test_columns_that_are_missing_are_said_together(drive):
 
 
 def test_exchanged_tables_are_said(drive):
-    with pytest.raises(
-        LogError, match=r"odometry.csv: it has the columns of sightings, and .*sightings.csv those of odom"
-    ):
+    with pytest.raises(LogError, match="odometry.csv: it has the columns of sightings: are the two tables exchanged?"):
         load(drive(odometry=text("t,id,range,bearing", SEEN), sightings=text("t,nu,omega", ODOMETRY)))
     moved, seen = {"t": [0, 1], "nu": [1, 1], "omega": [0, 0]}, {"t": [0], "id": [1], "range": [2], "bearing": [0]}
-    with pytest.raises(LogError, match="^odometry: it has the columns of sightings, and sightings those of odometry"):
+    with pytest.raises(LogError, match="^odometry: it has the columns of sightings"):
         Log.from_tables(seen, moved)
 
 
