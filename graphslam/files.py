@@ -181,14 +181,14 @@ def check_place(path: Path) -> None:
         raise FormatError(path, None, message)
 
 
-def number(path: Path, line: int, what: str, word: str) -> float:
-    """A word as a finite number.
+def number(path: Path, line: int, what: str, word: str, *, finite: bool = True) -> float:
+    """A word as a number, which has to be ``finite``.
 
     Raises:
         FormatError: it is none; the message begins with ``what`` it should be.
     """
     value = _of_word(path, line, what, word, float, "a number")
-    if not math.isfinite(value):
+    if finite and not math.isfinite(value):
         raise FormatError(path, line, f"{what} is {shortened(word)}; only finite numbers are allowed")
     return value
 

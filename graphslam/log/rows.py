@@ -147,6 +147,15 @@ def range_faults(ranges: np.ndarray, bearings: np.ndarray | None = None) -> list
     return [fault(ranges < 0, "a negative range", cause), fault(ranges == 0, "a range of 0", nothing)]
 
 
+def sound_sightings(
+    sightings: np.ndarray, error: Callable[[int, str], LogError], *, strict: bool
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """`sound_rows` of sightings (N, 2 or 3)."""
+    faults = range_faults(*sightings[:, :2].T)
+    faults += [finite_fault(*column, "") for column in zip(sightings.T, ("range", "bearing", "orientation"))]
+    return sound_rows(len(sightings), "sightings", faults, error, strict=strict)
+
+
 def fix_faults(columns: Mapping[str, np.ndarray]) -> list[Fault]:
     """The rows whose latitude and longitude (N,), if columns have these, are both 0: what receivers give without a fix."""
     if not {"latitude", "longitude"} <= columns.keys():
