@@ -113,7 +113,7 @@ def check_file(path: str | os.PathLike[str]) -> None:
 
 
 def read_text(path: Path) -> str:
-    """The text of a file in UTF-8, with or without a byte-order mark.
+    """The text of a file in UTF-8, with or without a byte-order mark, or in UTF-16 with one.
 
     Raises:
         FormatError: the file cannot be read, or is not text.
@@ -121,12 +121,9 @@ def read_text(path: Path) -> str:
     check_file(path)
     try:
         content = path.read_bytes()
-        text = content.decode("utf-8-sig")
+        text = content.decode("utf-16" if content.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig")
     except UnicodeDecodeError:
         check_unpacked(path, content)
-        if content.startswith((b"\xff\xfe", b"\xfe\xff")) and len(content) % 2 == 0:
-            message = "the text is in UTF-16; save it as UTF-8: iconv -f utf-16 -t utf-8 OLD > NEW"
-            raise FormatError(path, None, message) from None
         raise FormatError(
             path,
             None,
@@ -184,14 +181,14 @@ def check_place(path: Path) -> None:
         raise FormatError(path, None, message)
 
 
-def number(path: Path, line: int, what: str, word: str) -> float:
-    """A word as a finite number.
+def number(path: Path, line: int, what: str, word: str, *, finite: bool = True) -> float:
+    """A word as a number, which has to be ``finite``.
 
     Raises:
         FormatError: it is none; the message begins with ``what`` it should be.
     """
     value = _of_word(path, line, what, word, float, "a number")
-    if not math.isfinite(value):
+    if finite and not math.isfinite(value):
         raise FormatError(path, line, f"{what} is {shortened(word)}; only finite numbers are allowed")
     return value
 

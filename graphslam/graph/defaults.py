@@ -16,7 +16,8 @@ from ..edges.robust import Kernel
 from ..errors import GraphError
 from ..linear.precision import inverses
 from ..log import Log
-from ..log.cells import COVERED, DOUBLED, DOUBTFUL_NOISE, MOVED_BETWEEN, REPEATED, SHARED, SIDEWAYS
+from ..log.cells import COVERED, DOUBLED, DOUBTFUL_NOISE, MOVED_BETWEEN, REPEATED, SHARED
+from ..log.geometry import SIDEWAYS
 from ..log.measurements import AbsolutePositions
 from ..models import EdgeOptions, MotionModel, SensorModel
 from ..se2 import Array, transform

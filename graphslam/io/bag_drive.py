@@ -25,7 +25,7 @@ from ..se2 import Array, wrap
 from .bag_messages import Collector, Frames, Poses, clean, positions_table, relations_table, rotation_of
 from .bag_topics import TF, Bag, Candidate, Topic, candidates, is_bag, open_bag, plan_of
 from .base import Format
-from .tables import Recipe, recipe_if_any
+from .tables import Recipe, merged, recipe_if_any
 
 #: the axes of the sightings of a bag whose frame says no others
 _PLAIN = "forward-left"
@@ -319,7 +319,7 @@ def _orientations(collector: Collector, place: str, positions: Array, turn: Arra
 
 
 def _read(path: Path, options: ReadOptions) -> Log:
-    recipe = recipe_if_any(path.with_suffix(".toml")).strictly(options.strict)
+    recipe = merged(recipe_if_any(path.with_suffix(".toml")), {"strict": options.strict or None})
     return drive_of_bag(path, recipe).log(options, path.resolve().stem)
 
 

@@ -154,10 +154,10 @@ def save(log: Log, path: str | PathLike[str], *, format: str | None = None) -> N
     writers = {f.name: f.write for f in FORMATS.values() if f.write is not None}
     if format is None:
         by_suffix = {suffix: name for name in writers for suffix in FORMATS[name].suffixes}
-        if path.suffix not in by_suffix:
+        if path.suffix.lower() not in by_suffix:
             message = f"cannot tell the format from the suffix {quoted(path.suffix)}; use one of {', '.join(by_suffix)}"
             raise FormatError(path, None, message)
-        format = by_suffix[path.suffix]
+        format = by_suffix[path.suffix.lower()]
     checks.check_choice("format", format, writers)
     writers[format](log, path)
 

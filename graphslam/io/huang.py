@@ -31,7 +31,7 @@ import numpy as np
 from ..errors import FormatError, OptionError
 from ..files import check_file
 from ..log import Log
-from ..log.rows import ReadOptions
+from ..log.rows import ReadOptions, sound_sightings
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .base import NO_SIGHTING, Format, errors_name, member, optional_member
@@ -56,7 +56,7 @@ def _recognises(path: Path, _: bytes) -> bool:
     return path.is_dir() and any((path / f"{stem}.mat").exists() for stem in _HOLDS)
 
 
-def _read(folder: Path, _: ReadOptions) -> Log:
+def _read(folder: Path, options: ReadOptions) -> Log:
     if not folder.is_dir():
         raise FormatError(folder, None, "one of Huang's logs is a folder (of sensor_data.mat and so on), not a file")
 
@@ -78,11 +78,8 @@ def _read(folder: Path, _: ReadOptions) -> Log:
     whole = not np.any((seen[:, :2] % 1 != 0) | (np.abs(seen[:, :2]) > 2**53))
     if seen[0, 0] < 1 or seen[-1, 0] > len(speed) + 1 or not whole:
         raise FormatError(path, None, f"steps and beacons must be whole numbers, and steps 1 to {len(speed) + 1}")
-    if not (positive := seen[:, 2] > 0).all():
-        notes.append(f"{np.sum(~positive)} of {len(seen)} sightings have a range not above zero: left out")
-        seen = seen[positive]
-        if len(seen) == 0:
-            raise FormatError(path, None, "no sighting has a range above zero: nothing to estimate from")
+    kept, about = sound_sightings(seen[:, 2:4], lambda _, text: FormatError(path, None, text), strict=options.strict)
+    notes, seen = [*notes, *about], seen[kept]
     truth = optional("store_robotTrue", (3, len(speed) + 1), "the true poses")
     beacons = optional("store_beaconsTrue", ("beacons", 3), "the true landmarks")
     parameters = optional_member(folder, "parameters.txt", "the noise", notes)

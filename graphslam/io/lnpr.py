@@ -23,12 +23,11 @@ import numpy as np
 from ..errors import FormatError, quoted
 from ..files import number, read_text, whole, write_text
 from ..log import Log
-from ..log.rows import Fault, ReadOptions, sound_rows
+from ..log.rows import ReadOptions, sound_sightings
 from ..models import MotionModel, SensorModel
+from ..se2 import Array
 from .base import Format, errors_name
 
-#: numbers that nothing was measured with
-_NO_NUMBERS = ("nan", "inf", "infinity")
 #: the columns of each kind of line; the last one of z may be missing
 _COLUMNS = {"delta": "DT", "u": "t NU OMEGA", "x": "t X Y THETA", "z": "t ID RANGE BEARING PSI"}
 
@@ -48,10 +47,8 @@ class _Reader:
         self.controls: list[list[float]] = []
         self.poses: list[list[float]] = []
         self.sightings: list[list[float]] = []
-        #: the line of each sighting, by step and landmark
-        self.lines: dict[tuple[int, int], int] = {}
-        #: sightings that cannot be: line, what they have, and the sentence
-        self.wrong: list[tuple[int, str, str]] = []
+        #: the line, step and landmark of each sighting
+        self.seen: list[tuple[int, int, int]] = []
 
     def error(self, message: str) -> FormatError:
         return FormatError(self.path, self.line or None, message)
@@ -68,11 +65,7 @@ class _Reader:
         names = {"t": "the step number"}
         integers = [whole(self.path, line, names.get(c, c), w) for c, w in zip(columns, words) if c in ("t", "ID")]
         numbers = [(c, w) for c, w in zip(columns, words) if c not in ("t", "ID")]
-        if unknown := [(c, w) for c, w in numbers if tag == "z" and w.lower().lstrip("+-") in _NO_NUMBERS]:
-            name, word = unknown[0]
-            self.wrong.append((line, f"{name} {word}", f"{name} is {word}; only finite numbers are allowed"))
-            return
-        values = [number(self.path, line, c, w) for c, w in numbers]
+        values = [number(self.path, line, c, w, finite=tag != "z") for c, w in numbers]
         if tag == "delta":
             if self.delta is not None:
                 raise self.error("a second delta line; a log has one step time")
@@ -96,26 +89,24 @@ class _Reader:
             how = "runs backwards" if 0 <= step < current else "jumps"
             latest = f"'x {current}'" if current >= 0 else "missing"
             raise self.error(f"step number {how}: a sighting of step {step}, but the latest pose line is {latest}")
-        if values[0] <= 0:
-            what = "a negative range" if values[0] < 0 else "a range of 0"
-            self.wrong.append((self.line, what, f"range {values[0]:g} m; a range must be above zero"))
-            return
         if self.sightings and len(values) != len(self.sightings[0]):
-            have, other = "has no PSI" if len(values) == 2 else "has PSI", next(iter(self.lines.values()))
+            have, other = "has no PSI" if len(values) == 2 else "has PSI", self.seen[0][0]
             raise self.error(f"this sighting {have}, unlike line {other}; all must be alike")
-        if (earlier := self.lines.setdefault((step, landmark), self.line)) != self.line:
-            raise self.error(f"landmark {landmark} is seen twice in step {step} (first in line {earlier}); remove one")
+        self.seen.append((self.line, step, landmark))
         self.sightings.append(values)
 
-    def left_out(self) -> tuple[str, ...]:
-        """Notes on the sightings that cannot be."""
-        # those that can be follow as rows without a fault
-        has = np.array([what for _, what, _ in self.wrong] + [""] * len(self.sightings))
-        faults = [Fault(has == what, what, lambda k: self.wrong[k][2]) for what in dict.fromkeys(has.tolist()) if what]
-        return sound_rows(
-            len(has), "sightings", faults, lambda k, text: FormatError(self.path, self.wrong[k][0], text),
-            strict=self.strict,
-        )[1]  # fmt: skip
+    def sound(self) -> tuple[np.ndarray, Array, tuple[str, ...]]:
+        """Steps and landmarks (M, 2) and sightings that can be, and notes on others."""
+        seen, sightings = np.array(self.seen or np.empty((0, 3), int)), np.array(self.sightings or np.empty((0, 3)))
+        kept, notes = sound_sightings(
+            sightings, lambda k, text: FormatError(self.path, int(seen[k, 0]), text), strict=self.strict
+        )
+        lines = dict[tuple[int, int], int]()
+        for line, step, landmark in seen[kept].tolist():
+            if (earlier := lines.setdefault((step, landmark), line)) != line:
+                again = f"landmark {landmark} is seen twice in step {step} (first in line {earlier}); remove one"
+                raise FormatError(self.path, line, again)
+        return seen[kept, 1:], sightings[kept], notes
 
     def log(self) -> Log:
         motions, notes, controlled = len(self.poses) - 1, [], self.delta is not None
@@ -125,20 +116,19 @@ class _Reader:
             raise self.error(f"{len(self.poses)} poses need {motions} controls, found {len(self.controls)}")
         if controlled and len(self.controls) > motions:
             notes.append(f"the control of line 'u {motions}' leaves the last pose and moves nothing: dropped")
-        notes += self.left_out()
-        steps, landmarks = np.array(list(self.lines), dtype=np.int64).reshape(-1, 2).T
+        seen, sightings, about = self.sound()
         return Log(
             dt=np.full(motions, self.delta) if controlled else None,
             controls=np.array(self.controls[:motions]).reshape(-1, 2) if controlled else None,
-            steps=steps,
-            landmarks=landmarks,
-            sightings=np.array(self.sightings),
+            steps=seen[:, 0],
+            landmarks=seen[:, 1],
+            sightings=sightings,
             initial_poses=np.array(self.poses),
             # logs in this format are made with the noise of the book
             motion=MotionModel() if controlled else None,
             sensor=SensorModel() if controlled else None,
             name=self.path.stem,
-            notes=tuple(notes),
+            notes=(*notes, *about),
         )
 
 
@@ -152,15 +142,16 @@ def _read(path: Path, options: ReadOptions) -> Log:
 
 
 def _write(log: Log, path: Path) -> None:
-    pairs = np.column_stack([log.steps, log.landmarks])
+    pairs, models = np.column_stack([log.steps, log.landmarks]), (log.motion, log.sensor)
+    of_book = (None, None) if log.dt is None else (MotionModel(), SensorModel())
     obstacles = {
         "the truth": log.true_poses is not None or log.true_landmarks is not None,
         "motions of several controls": log.composite,
         "a log with controls but without motions": log.dt is not None and len(log.dt) == 0,
         "steps of different length": log.dt is not None and len(np.unique(log.dt)) > 1,
         "sightings of landmarks without ids": not log.identified,
-        "other noise models than the book's": log.motion not in (None, MotionModel())
-        or log.sensor not in (None, SensorModel()),
+        "other noise than the book's, which its logs with controls have": models != of_book
+        and not (log.simulated and models == (None, None)),
         "a start time": log.start_time != 0,
         "two sightings of one landmark in one step": len(np.unique(pairs, axis=0)) < len(pairs),
         "the classes of sightings": log.classes is not None,

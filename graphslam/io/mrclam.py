@@ -144,10 +144,8 @@ def _table(path: Path, columns: tuple[str, ...]) -> tuple[TextTable, Array]:
     """A file and its numbers, which are finite."""
     table = TextTable(path, columns)
     rows = table.numbers(range(table.width))
-    for name, column in zip(columns, rows.T):
-        fault = finite_fault(column, name)
-        if (k := checks.first(fault.rows)) is not None:
-            raise table.error(k, fault.message(k))
+    faults = [finite_fault(column, name) for name, column in zip(columns, rows.T)]
+    sound_rows(len(rows), "rows", faults, table.error, strict=True)
     return table, rows
 
 

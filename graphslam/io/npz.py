@@ -27,7 +27,7 @@ from ..errors import FormatError, OptionError, SlamError, checks, reason_of
 from ..files import check_file, read_archive, write_whole
 from ..log import Log
 from ..log.measurements import MEASURED, Session
-from ..log.rows import ReadOptions, finite_fault, range_faults, sound_rows
+from ..log.rows import ReadOptions, sound_sightings
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .base import Format
@@ -96,12 +96,9 @@ def _left_out(content: dict[str, np.ndarray], path: Path, strict: bool) -> tuple
     sightings = content["sightings"]
     if sightings.ndim != 2 or sightings.shape[1] not in (2, 3) or sightings.dtype.kind != "f":
         return ()
-    names = ("range", "bearing", "orientation")
-    not_finite = [finite_fault(column, name, "") for column, name in zip(sightings.T, names)]
-    kept, notes = sound_rows(
-        len(sightings), "sightings", [*not_finite, *range_faults(*sightings[:, :2].T)],
-        lambda k, text: FormatError(f"{path}: sighting {k}", None, text), strict=strict,
-    )  # fmt: skip
+    kept, notes = sound_sightings(
+        sightings, lambda k, text: FormatError(f"{path}: sighting {k}", None, text), strict=strict
+    )
     for name in ("steps", "landmarks", "sightings", "classes"):
         if name in content and content[name].shape[:1] == kept.shape:
             content[name] = content[name][kept]

@@ -127,10 +127,10 @@ def _parsed(path: Path) -> _File:
         for name in row.names:
             if not re.fullmatch(r"[A-Z]\d{1,9}", name):
                 raise file.error(line, f"a name is a capital letter and a number, such as A0 or L6, not {quoted(name)}")
+            if (name[0] == _LANDMARK) != tag.startswith("VERTEX_XY") and tag not in ("EDGE_SE2_XY", "EDGE_RANGE"):
+                raise file.error(line, f"{name} cannot be the name in {tag}: L is the letter of landmarks")
         if tag in ("VERTEX_SE2", "VERTEX_XY"):
             name = row.names[0]
-            if (name[0] == _LANDMARK) != (tag == "VERTEX_XY"):
-                raise file.error(line, f"{name} cannot be the name in {tag}: L is the letter of landmarks")
             if name in file.vertices:
                 raise file.error(line, f"{name} was in line {file.vertices[name].line} already; remove one of the two")
             file.vertices[name] = row

@@ -33,9 +33,6 @@ from .base import Format, errors_name
 
 #: keys of the table of a stream that are not its columns
 _UNITS = ("time", "angles", "lengths")
-#: the types of the options of all tables
-_TYPES: dict[str, tuple[type, ...]] = {name: (each.kind,) for name, each in checks.declared_in(TableOptions).items()}
-_TYPES |= dict.fromkeys((*_UNITS, "columns", "clocks"), (str, dict))
 _WHERE = ("file", "topic", "child", "parent", "use")
 #: of topics of relations and positions: standard deviations [m, rad] instead of those of the messages, and the point of the
 #: robot that is measured, forward and left [m]
@@ -57,10 +54,6 @@ class Recipe:
         """The place of a table in the recipe: its file, topic, frames; None where there is none."""
         return self.places.get(table, {}).get(what)
 
-    def strictly(self, strict: bool) -> Recipe:
-        """The same, with tables that are read strictly where ``strict`` is set."""
-        return replace(self, options=replace(self.options, strict=True)) if strict else self
-
 
 def read_recipe(path: Path) -> Recipe:
     """Read a recipe.
@@ -71,10 +64,9 @@ def read_recipe(path: Path) -> Recipe:
     file = TomlFile(path)
     known = [f.name for f in fields(TableOptions)]
     file.check_keys(file.table, (*known, *TABLES))
-    values: dict[str, Any] = {name: _value(file, name) for name in known if name in file.table}
-    of_tables = {name: values.pop(name) for name in (*_UNITS, "columns", "clocks") if name in values}
-    stated = file.attempt(lambda: TableOptions(**of_tables))
-    units: dict[str, dict[str, str]] = {name: stated.by_table(name) for name in _UNITS if name in of_tables}
+    values = {name: file.table[name] for name in known if name in file.table}
+    stated = file.attempt(lambda: TableOptions(**values))
+    units: dict[str, dict[str, str]] = {name: stated.by_table(name) for name in _UNITS}
     columns: dict[str, dict[str, Any]] = {table: dict(stated.columns_of(table)) for table in TABLES}
     clocks = stated.by_table("clocks")
     places: dict[str, dict[str, str]] = {}
@@ -94,8 +86,10 @@ def read_recipe(path: Path) -> Recipe:
                 clocks[table] = file.value(content, key, float, where=table)
             else:
                 columns.setdefault(table, {})[key] = file.value(content, key, str, int, where=table)
-    values |= {name: value for name, value in {**units, "columns": columns, "clocks": clocks}.items() if value}
-    return Recipe(file.attempt(lambda: TableOptions(**values)), places, numbers)
+    given: dict[str, Any] = {
+        name: value for name, value in {**units, "columns": columns, "clocks": clocks}.items() if value
+    }
+    return Recipe(file.attempt(lambda: replace(stated, **given)), places, numbers)
 
 
 def _list_of(file: TomlFile, content: dict[str, Any], key: str, table: str) -> list[float]:
@@ -109,19 +103,9 @@ def _list_of(file: TomlFile, content: dict[str, Any], key: str, table: str) -> l
     return numbers
 
 
-def _value(file: TomlFile, name: str) -> Any:
-    """The value of an option in the head of the file, in the type of its field."""
-    if name in ("sensor_offset", "truth_offset"):
-        value = file.value(file.table, name, list)
-        if len(value) != 2 or not all(type(number) in (int, float) for number in value):
-            raise file.error(name, f"{name} should be a list of two numbers, [forward, left]")
-        return tuple(file.value({name: number}, name, float) for number in value)
-    return file.value(file.table, name, *_TYPES[name])
-
-
 def merged(recipe: Recipe, changes: Mapping[str, Any]) -> Recipe:
     """The recipe with options of the command line or of Python, which take precedence; None is not given."""
-    given = {name: value for name, value in changes.items() if value is not None}
+    given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
     known = [f.name for f in fields(TableOptions)]
     checks.check_known("the reader of tables", given, known, f"; its options are {', '.join(known)}")
     return replace(recipe, options=replace(recipe.options, **given))
@@ -188,7 +172,7 @@ def _read(folder: Path, options: ReadOptions) -> Log:
     if not folder.is_dir():
         raise FormatError(folder, None, "a log of tables is a folder with odometry.csv and sightings.csv, not a file")
     with errors_name(folder):
-        recipe = recipe_if_any(folder / RECIPE).strictly(options.strict)
+        recipe = merged(recipe_if_any(folder / RECIPE), {"strict": options.strict or None})
         return drive_of(folder, recipe).log(options, folder.resolve().name)
 
 

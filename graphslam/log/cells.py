@@ -2,8 +2,8 @@
 
 `nanoseconds` makes whole numbers of times: seconds since 1970 with nine decimals do not fit into a floating-point number.
 `ids_of` and `classes_of` read whole numbers, words, or nothing where a landmark was not identified. `checked_heading` turns
-quaternions into headings, and `controls_between` the poses of odometry into controls. `repeated_times` and
-`repeated_sightings` find rows that come twice, and times that several rows share.
+quaternions into headings. `repeated_times` and `repeated_sightings` find rows that come twice, and times that several rows
+share.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..errors import LogError, checks, decimals, named, quoted, shortened
-from ..se2 import Array, between, sinc
+from ..se2 import Array
 from .rows import MOST_CLASSES, NO_CLASS, UNIDENTIFIED, Fault, without_no_id
 from .table import Table
 from .text_table import MISSING
@@ -28,8 +28,10 @@ _RESOLVED = 2.0**51
 #: whole nanoseconds in 64 bits are below this
 _LARGEST = 2.0**63
 #: date and time of day as in ISO 8601, with the hours and minutes by which it is ahead of UTC
-_DATE = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d(?:[.,]\d{1,9})?) ?(?:Z|UTC|([+-]\d\d):?(\d\d))?")
-#: the time of day, where the date has a column of its own
+_DATE = re.compile(
+    r"(\d{4}[-/]\d\d[-/]\d\d)[T ](\d\d:\d\d:\d\d(?:[.,]\d{1,9})?) ?(?:Z|UTC|GMT|([+-]\d\d):?(\d\d)?)?", re.IGNORECASE
+)
+#: the time of day, where the date has a column of its own, or all rows are of one day
 _DAY_TIME = re.compile(r"\d\d:\d\d:\d\d.*")
 #: a single time this far [s] outside those of both neighbours is wrong
 STRAY = 10
@@ -41,11 +43,12 @@ def nanoseconds(table: Table, column: int, unit: str | None, kind: str, day: int
     Args:
         table: whose column it is.
         column: its number.
-        unit: "s", "ms", "us" or "ns"; None: by the size of the numbers, which is certain for times since 1970, else s.
+        unit: "s", "ms", "us" or "ns"; None: by the size of the numbers, as `by_size`.
         kind: what the table holds, such as "odometry".
         day: the number of the column of the date, where the table has one; it counts where the times are times of day.
 
-    Dates with the time of day (ISO 8601, "2026-11-22T10:00:00.5Z") are counted from 1970, in UTC where they name no zone.
+    Dates with the time of day (ISO 8601, "2026-11-22T10:00:00.5Z") are counted from 1970, in UTC where they name no zone, and
+    times of day alone from midnight.
 
     Raises:
         LogError: a time is neither a finite number nor a date, or has no place in 64 bits (before 1678 or after 2262).
@@ -56,9 +59,8 @@ def nanoseconds(table: Table, column: int, unit: str | None, kind: str, day: int
         if (dates := _of_dates(table, column, kind, day)) is not None:
             return dates
         word = str(table.words(column)[0])
-        with suppress(ValueError):
+        if re.fullmatch(r"[\d.,eE+-]*", word):
             # the first time is a number, so that a later one is the mistake
-            float(word)
             raise
         date = "or a date with the time of day as in 2026-11-22T10:00:00.5Z (or in two columns, date and time)"
         message = f"the time {table.title(column)} should be a number, {date}, not {quoted(word)}"
@@ -120,8 +122,9 @@ def _of_dates(table: Table, column: int, kind: str, day_column: int | None) -> n
     """Times (N,) of dates, or of dates and times of day in two columns; None where the first is none."""
     ns = np.empty(len(table), np.int64)
     words = [str(word) for word in table.words(column)]
-    if day_column is not None and words and _DAY_TIME.fullmatch(words[0]):
-        words = [f"{date} {word}" for date, word in zip(table.words(day_column), words)]
+    if words and _DAY_TIME.fullmatch(words[0]):
+        days = ["1970-01-01"] * len(words) if day_column is None else table.words(day_column)
+        words = [f"{date} {word}" for date, word in zip(days, words)]
     for row, word in enumerate(words):
         if (match := _DATE.fullmatch(word)) is None:
             if row == 0:
@@ -132,11 +135,11 @@ def _of_dates(table: Table, column: int, kind: str, day_column: int | None) -> n
         try:
             whole, _, fraction = clock.replace(",", ".").partition(".")
             # nanoseconds as numpy has them wrap without a word
-            instant = int(np.datetime64(f"{day}T{whole}", "s").astype(np.int64))
+            instant = int(np.datetime64(f"{day.replace('/', '-')}T{whole}", "s").astype(np.int64))
             moment = instant * UNITS["s"] + int(fraction.ljust(9, "0"))
         except ValueError as error:
             raise table.error(row, f"{table.title(column)} is no date that exists: {quoted(word)} ({error})") from None
-        ahead = 60 * int(hours) + int(hours[0] + minutes) if hours else 0
+        ahead = 60 * int(hours) + int(hours[0] + (minutes or "0")) if hours else 0
         moment -= ahead * 60 * UNITS["s"]
         if abs(moment) >= _LARGEST:
             raise _beyond(table, row, column, kind)
@@ -172,12 +175,29 @@ def added(table: Table, column: int, times: np.ndarray, more: np.ndarray | int, 
 
 
 def by_size(values: np.ndarray) -> str:
-    """The unit of times, where their size excludes all others: no log lasts three thousand years."""
+    """The unit of times since 1970 in a year after 1988, which their size tells; s for others."""
     largest = float(np.max(np.abs(values), initial=0.0))
-    for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)):
+    for unit, least in (("ns", 6e17), ("us", 6e14), ("ms", 6e11)):
         if largest >= least:
             return unit
     return "s"
+
+
+def check_spacing(table: Table, column: int, ns: np.ndarray) -> None:
+    """Raise `LogError` where times (N,) [ns] of odometry, whose unit is not stated, are as far apart as in another unit."""
+    apart, units = np.diff(ns) / 1e9, list(UNITS)
+    middle = float(np.median(apart[apart > 0])) if (apart > 0).any() else 1.0
+    if checks.SHORTEST <= middle <= checks.LONGEST or is_dated(table, column):
+        return
+    used = by_size(table.numbers([column]))
+    spacing = f"neighbouring rows are {middle:g} s apart (median)"
+    stated = f"if they are in {used}, add time='odometry={used}'"
+    if middle > checks.LONGEST:
+        finer = 1 + (middle > 1e3 * checks.LONGEST) + (middle > 1e6 * checks.LONGEST)
+        unit = units[min(units.index(used) + finer, len(units) - 1)]
+        raise table.error(None, f"{spacing}: are the times in {unit}? Then add time='odometry={unit}'; {stated}")
+    cause = "are the times in minutes, hours or days? Then make seconds of them"
+    raise table.error(None, f"{spacing}: {cause}; {stated}")
 
 
 def seconds(nanoseconds: np.ndarray, origin: int) -> np.ndarray:
@@ -355,28 +375,6 @@ def checked_heading(table: Table, quaternions: Array) -> Array:
     return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def controls_between(poses: Array, dt: Array) -> tuple[Array, float]:
-    """The controls (N, 2) that lead from each pose (N, 3) to the next on an arc, the last one zero.
-
-    Args:
-        poses: of the odometry.
-        dt: (N-1,) [s], positive.
-
-    Returns:
-        The controls, and the share of the distance that is driven sideways, which arcs leave out.
-    """
-    relative = between(poses[:-1], poses[1:])
-    half = relative[:, 2] / 2
-    c, s = np.cos(half), np.sin(half)
-    # the chord of an arc looks along half its turn
-    along, across = c * relative[:, 0] + s * relative[:, 1], c * relative[:, 1] - s * relative[:, 0]
-    controls = np.zeros((len(poses), 2))
-    controls[:-1, 0] = along / (sinc(half) * dt)
-    controls[:-1, 1] = relative[:, 2] / dt
-    driven = float(np.sum(np.hypot(along, across)))
-    return controls, float(np.sum(np.abs(across))) / driven if driven > 0 else 0.0
-
-
 #: name of the check and sentence of something that is probably a mistake, see `Log.doubts`
 Doubt = tuple[str, str]
 #: rows of odometry or truth, and sightings of one landmark, that share a time and are a larger part of all are a doubt
@@ -414,41 +412,6 @@ def repeated_times(
             "time is used"
         )
     return ((), ((f"{kind} repeats", message),)) if count > _SHARE * len(ns) else ((message,), ())
-
-
-#: the check that finds robots that drive sideways: controls (nu, omega) do not
-SIDEWAYS = "sideways"
-#: poses, whose positions may jitter, and speeds that are sideways for a larger share of the way are no odometry of wheels
-_POSES, _SPEEDS = 0.3, 0.1
-#: where other motions are taken
-_OTHER = "OnlineSolver.move(motion=..., covariance=...) takes motions in any direction"
-
-
-def counts_turns(poses: Array) -> bool:
-    """Whether the motion of poses (N, 3) says that headings of many turns are radians: as degrees, they move sideways."""
-    shares = [controls_between(poses * [1, 1, unit], np.ones(len(poses) - 1))[1] for unit in (1, np.pi / 180)]
-    return shares[0] < _POSES < shares[1]
-
-
-def sideways_poses(table: Table, share: float) -> tuple[Doubt, ...]:
-    """A doubt where the poses of odometry move sideways for a large share of their way."""
-    message = (
-        f"{table.source}: the poses move sideways for {share:.0%} of their way, which wheels cannot; the heading may be in "
-        f"another unit, turn the other way, or not be the robot's. If the robot does drive sideways, {_OTHER}"
-    )
-    return ((SIDEWAYS, message),) if share > _POSES else ()
-
-
-def sideways_speed(table: Table, title: str, speed: Array, lateral: Array) -> tuple[Doubt, ...]:
-    """A doubt where the speeds sideways (N,), of the column ``title``, are a large share of those ahead (N,) and sideways."""
-    lateral = np.abs(np.nan_to_num(lateral))
-    driven = float(np.sum(np.hypot(speed, lateral)))
-    share = float(np.sum(lateral)) / driven if driven > 0 else 0.0
-    message = (
-        f"{table.source}: the robot drives sideways ({title}) for {share:.0%} of its way, which controls (nu, omega) leave "
-        f"out: dead reckoning is wrong, and estimates rest on the sightings; {_OTHER}"
-    )
-    return ((SIDEWAYS, message),) if share > _SPEEDS else ()
 
 
 #: the checks that find sightings whose rows are there twice, and other sightings with one time and id

@@ -13,10 +13,28 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..errors import LogError, named
-from ..errors.checks import FARTHEST, FASTEST, FOUR_TURNS, LONGEST, QUICKEST, WHOLE_TURN, checked_offset, first
+from ..errors.checks import (
+    FARTHEST,
+    FASTEST,
+    FOUR_TURNS,
+    QUICKEST,
+    WHOLE_TURN,
+    first,
+)
 from ..se2 import Array, wrap
 from . import cells
-from .geometry import WHEELS, chosen_axes, controls_of, motion_of, polar, seen_from
+from .geometry import (
+    WHEELS,
+    chosen_axes,
+    controls_between,
+    controls_of,
+    counts_turns,
+    motion_of,
+    polar,
+    seen_from,
+    sideways_poses,
+    sideways_speed,
+)  # fmt: skip
 from .rows import (
     AXES,
     MOST_LEFT_OUT,
@@ -26,10 +44,11 @@ from .rows import (
     Fault,
     TableOptions,
     finite_fault,
+    fix_faults,
     range_faults,
     sound_rows,
     spike_faults,
-)
+)  # fmt: skip
 from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, RATES, Kept, Table, find, ordered
 
 TURNED = "the heading is {:g} rad: does it count many turns, or is it in degrees?"
@@ -194,6 +213,7 @@ class Reader:
         if "x" in columns and self.kind == "sightings":
             other = "z" if self.options.axes == "optical" else "y"
             faults += range_faults(np.hypot(columns["x"], columns.get(other, np.ones(len(self.table)))))
+        faults += fix_faults(columns)
         kept, notes = sound_rows(
             len(self.table), "sightings" if self.kind == "sightings" else "rows", faults, self.table.error,
             strict=self.options.strict, source=self.table.source,
@@ -234,7 +254,12 @@ class Reader:
         ns = cells.nanoseconds(self.table, column, self._unit(role), self.kind, day)
         if self.has("nanosec"):
             self.need("nanosec")
-            more = cells.nanoseconds(self.table, self.found["nanosec"].column, "ns", self.kind)
+            beside = self.found["nanosec"].column
+            more = cells.nanoseconds(self.table, beside, "ns", self.kind)
+            if (k := first((more < 0) | (more >= cells.UNITS["s"]))) is not None:
+                what = f"{self.table.title(beside)} is {more[k]}, and no part of a second beside seconds"
+                advice = f"if it is the whole time, state columns='{self.kind}.t={beside + 1}'"
+                raise self.table.error(k, f"{what}: {advice}")
             ns = cells.added(self.table, column, ns, more, self.kind)
         if (unit := self.options.unit("time", self.kind)) is not None and cells.is_dated(self.table, column):
             note = f"{self.table.title(column)} holds dates or durations: the stated unit {unit} is not used"
@@ -319,14 +344,16 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     reader = Reader("odometry", table, options)
     motion, of_wheels = motion_of(table, reader.found, options.track), tuple[str, ...]()
     needed = motion if "x" not in motion or reader.has("qz", "qw") else (*motion, "theta")
+    if not reader.has(*needed) and {"range", "bearing"} <= find("sightings", table, ROLES["sightings"], {}, {}).keys():
+        raise table.error(None, "it has the columns of sightings: are the two tables exchanged?")
     instead = ", and none for x, y and theta instead of nu and omega"
     reader.need("t", *needed, instead="" if "x" in motion or reader.has(*motion) else instead)
     table = reader.leave_out(*(_POSE if "x" in motion else motion))
     ns = reader.times()
     if "x" not in motion:
         rows = reader.numbers(*motion)
-        speed = rows[:, : 2 if "left" in motion else 1]
-        reader.refuse_many(motion[0], np.abs(speed).max(axis=1), FASTEST, "the speed is {:g} m/s: is it in mm/s?")
+        fastest = np.abs(rows[:, : 2 if "left" in motion else 1]).max(axis=1)
+        reader.refuse_many(motion[0], fastest, FASTEST, "the speed is {:g} m/s: is it in mm/s?")
         if "left" in motion:
             rows, of_wheels = controls_of(table, rows, options.track)
         sideways = _sideways_speed(reader, rows[:, 0])
@@ -336,20 +363,15 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     rows = rows[order]
     more, doubts = cells.repeated_times("odometry", table, ns, rows, np.arange(len(ns))[order])
     notes += of_wheels + more
-    dt = np.diff(ns) / 1e9
-    if len(dt) and not reader.stated("t") and (middle := float(np.median(dt))) > LONGEST:
-        unit, word = ("ms", "milli") if middle < 5e3 else ("us", "micro") if middle < 5e6 else ("ns", "nano")
-        apart = f"neighbouring rows are {middle:g} s apart (median): are the times in {word}seconds?"
-        add = f"Then add time='odometry={unit}'; if they are seconds, add time='odometry=s'"
-        raise table.error(None, f"{apart} {add}")
+    if not reader.stated("t"):
+        cells.check_spacing(table, reader.found["t"].column, ns)
     if rows.shape[1] == 3:
         rows, ns, sideways = _controls(reader, rows, ns)
     elif "omega" in motion:
         message = "the turn rate is {:g} rad/s: is it in degrees per second?"
         reader.refuse_many("omega", np.abs(rows[:, 1]), QUICKEST, message)
-    speeds = dict.fromkeys(("nu", "left", "x"), "speed unit")
-    turns = dict.fromkeys(("omega", "theta"), "turn rate unit")
-    doubts += sideways + reader.answered(t="time unit", **speeds, **turns)
+    speed, turn = "speed unit", "turn rate unit"
+    doubts += sideways + reader.answered(t="time unit", nu=speed, left=speed, x=speed, omega=turn, theta=turn)
     return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts)
 
 
@@ -360,7 +382,7 @@ def _sideways_speed(reader: Reader, speed: Array) -> tuple[cells.Doubt, ...]:
     lateral = reader.numbers("vy", finite=False)[:, 0]
     # it is no column of the controls
     del reader.used["vy"]
-    return cells.sideways_speed(reader.table, reader.table.title(reader.found["vy"].column), speed, lateral)
+    return sideways_speed(reader.table, reader.table.title(reader.found["vy"].column), speed, lateral)
 
 
 def _controls(reader: Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.ndarray, tuple[cells.Doubt, ...]]:
@@ -368,12 +390,12 @@ def _controls(reader: Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.n
     # of several rows with one time the last holds
     last = np.append(np.diff(ns) > 0, True)
     poses, ns = poses[last], ns[last]
-    controls, sideways = cells.controls_between(poses, np.diff(ns) / 1e9)
+    controls, sideways = controls_between(poses, np.diff(ns) / 1e9)
     speed, turn = np.abs(controls[:-1]).T
     heading = "theta" if reader.has("theta") else "x"
     reader.refuse_many(heading, turn, QUICKEST, "the headings turn by {:g} rad/s: are they in degrees?", "angles")
     reader.refuse_many("x", speed, FASTEST, "the poses move by {:g} m/s: are they in mm?")
-    return controls, ns, cells.sideways_poses(reader.table, sideways)
+    return controls, ns, sideways_poses(reader.table, sideways)
 
 
 def sightings_of(table: Table, options: TableOptions) -> Timed:
@@ -425,12 +447,12 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
         rename = "; if it alone is in degrees, name its column orientation_deg instead"
         reader.refuse("orientation", psi[:, 0], WHOLE_TURN, beyond, also=rename)
         rows = np.column_stack([rows, sign * psi])
-    if options.centre == "robot" and any(options.sensor_offset or ()):
+    if options.centre == "robot" and options.sensor_offset not in (None, (0.0, 0.0)):
         if (alone_at := np.flatnonzero(np.isnan(rows[:, :2]).any(axis=1))).size:
             message = "a range or a bearing alone from the robot's centre says nothing about the sensor at its offset"
             advice = "give it as the sensor measured it, with centre='sensor'"
             raise table.error(int(alone_at[0]), f"{message}: {advice}")
-        rows = seen_from(checked_offset("sensor_offset", options.sensor_offset), rows)
+        rows = seen_from(options.sensor_offset, rows)
     ns, order, more = ordered(reader.table, ns)
     ids, rows = found.numbers[order], rows[order]
     rows[:, 1:] = wrap(rows[:, 1:])
@@ -438,8 +460,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     doubts += reader.answered(range="range unit", x="range unit")
     classes, remarks = reader.classes()
     classes = None if classes is None else classes[order]
-    alone = (f"{table.source}: the sensor measures the {single} alone",) if single else ()
-    notes = (*found.notes, *taken, *empty, *more, *remarks, *alone)
+    notes = (*found.notes, *taken, *empty, *more, *remarks)
     return Timed(table, ns, rows, reader.described(), ids, notes, doubts, classes, found.names)
 
 
@@ -468,7 +489,7 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
         raise table.error(None, "no row has all numbers of a pose; leave out an empty column, or the ground truth")
     few = f"{table.source}: {np.sum(~known)} of {len(known)} rows have no pose and are left out"
     notes = (few,) * (not known.all())
-    if rows.shape[1] == 3 and not reader.has("qz") and not cells.counts_turns(rows[known]):
+    if rows.shape[1] == 3 and not reader.has("qz") and not counts_turns(rows[known]):
         reader.refuse("theta", rows[:, 2], FOUR_TURNS, TURNED)
     rows[:, 2:] = wrap(rows[:, 2:])
     kept = np.flatnonzero(known)

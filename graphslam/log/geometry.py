@@ -5,7 +5,7 @@
     nu = (v_right + v_left) / 2,   omega = (v_right - v_left) / track.
 
 Errors of the track and of the scales of both wheels are errors of nu and omega with constant factors, which the biases
-``wheel_scale``, ``turn_scale`` and ``curvature_bias`` are.
+``wheel_scale``, ``turn_scale`` and ``curvature_bias`` are. The poses of odometry become the controls between them.
 
 **Axes.** On a robot that drives in the plane a landmark keeps its height over the sensor, while the two other coordinates
 change. A camera has the height in y (right, down, ahead: OpenCV, AprilTag), other sensors in z.
@@ -20,7 +20,7 @@ from contextlib import suppress
 import numpy as np
 
 from ..errors import LogError, checks, named
-from ..se2 import Array
+from ..se2 import Array, between, sinc
 from .cells import Doubt
 from .table import Chosen, Table, plain
 
@@ -136,6 +136,63 @@ def controls_of(table: Table, speeds: Array, track: float | None) -> tuple[Array
         errors = "errors of this track and of the wheels' scales are wheel_scale, turn_scale and curvature_bias"
         note = f"nu and omega are those of the left and the right wheel, {track:g} m apart; {errors}"
     return np.column_stack([(left + right) / 2, omega]), (f"{table.source}: {note}",)
+
+
+def controls_between(poses: Array, dt: Array) -> tuple[Array, float]:
+    """The controls (N, 2) that lead from each pose (N, 3) to the next on an arc, the last one zero.
+
+    Args:
+        poses: of the odometry.
+        dt: (N-1,) [s], positive.
+
+    Returns:
+        The controls, and the share of the distance that is driven sideways, which arcs leave out.
+    """
+    relative = between(poses[:-1], poses[1:])
+    half = relative[:, 2] / 2
+    c, s = np.cos(half), np.sin(half)
+    # the chord of an arc looks along half its turn
+    along, across = c * relative[:, 0] + s * relative[:, 1], c * relative[:, 1] - s * relative[:, 0]
+    controls = np.zeros((len(poses), 2))
+    controls[:-1, 0] = along / (sinc(half) * dt)
+    controls[:-1, 1] = relative[:, 2] / dt
+    driven = float(np.sum(np.hypot(along, across)))
+    return controls, float(np.sum(np.abs(across))) / driven if driven > 0 else 0.0
+
+
+#: the check that finds robots that drive sideways: controls (nu, omega) do not
+SIDEWAYS = "sideways"
+#: poses, whose positions may jitter, and speeds that are sideways for a larger share of the way are no odometry of wheels
+_POSES, _SPEEDS = 0.3, 0.1
+#: where other motions are taken
+_OTHER = "OnlineSolver.move(motion=..., covariance=...) takes motions in any direction"
+
+
+def counts_turns(poses: Array) -> bool:
+    """Whether the motion of poses (N, 3) says that headings of many turns are radians: as degrees, they move sideways."""
+    shares = [controls_between(poses * [1, 1, unit], np.ones(len(poses) - 1))[1] for unit in (1, np.pi / 180)]
+    return shares[0] < _POSES < shares[1]
+
+
+def sideways_poses(table: Table, share: float) -> tuple[Doubt, ...]:
+    """A doubt where the poses of odometry move sideways for a large share of their way."""
+    message = (
+        f"{table.source}: the poses move sideways for {share:.0%} of their way, which wheels cannot; the heading may be in "
+        f"another unit, turn the other way, or not be the robot's. If the robot does drive sideways, {_OTHER}"
+    )
+    return ((SIDEWAYS, message),) if share > _POSES else ()
+
+
+def sideways_speed(table: Table, title: str, speed: Array, lateral: Array) -> tuple[Doubt, ...]:
+    """A doubt where the speeds sideways (N,), of the column ``title``, are a large share of those ahead (N,) and sideways."""
+    lateral = np.abs(np.nan_to_num(lateral))
+    driven = float(np.sum(np.hypot(speed, lateral)))
+    share = float(np.sum(lateral)) / driven if driven > 0 else 0.0
+    message = (
+        f"{table.source}: the robot drives sideways ({title}) for {share:.0%} of its way, which controls (nu, omega) leave "
+        f"out: dead reckoning is wrong, and estimates rest on the sightings; {_OTHER}"
+    )
+    return ((SIDEWAYS, message),) if share > _SPEEDS else ()
 
 
 #: sightings that are needed, of landmarks that are seen several times or else of all

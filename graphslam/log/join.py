@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import LogError, OptionError, quoted
-from ..errors.checks import FOUR_TURNS, WHOLE_TURN, check_known, check_type, checked_offset, first
+from ..errors.checks import FOUR_TURNS, WHOLE_TURN, check_known, check_type, first
 from ..models import ANYWHERE, SensorModel, additional_variances
 from ..se2 import Array, wrap
 from .cells import COVERED, DOUBTFUL_NOISE, Doubt, ids_of, seconds, time_faults
@@ -39,7 +39,8 @@ def relations_of(table: Table, options: TableOptions) -> Timed:
         LogError: a column is missing, a number is none, or a covariance is not positive definite.
     """
     reader = Reader("relations", table, options)
-    steps = [name for name in table.names if name.lower() in ("step", "steps", "first", "second", "step1", "step2")]
+    counting = ["step", "steps", "first", "second", "step1", "step2", "from", "to"]
+    steps = [name for name in table.names if name.lower() in counting]
     counts = f", and {steps[0]!r} counts steps, which tables do not have: give the time of both poses" if steps else ""
     reader.need("t1", instead=counts)
     reader.need("t2", "dx", "dy", "dtheta")
@@ -76,12 +77,7 @@ def positions_of(table: Table, options: TableOptions) -> Timed:
             raise table.error(k, f"{plain[k, 0]:g} is no latitude in degrees; are latitude and longitude exchanged?")
         datum = plain[np.argmin(ns)]
         plain, plane = local_plane(plain, datum), (datum_note(datum, table.source),)
-    places = np.column_stack([plain, np.full(len(ns), np.nan)])
-    if reader.has("theta"):
-        # an empty cell: the heading is not known there
-        places[:, 2:] = reader.numbers("theta", finite=False)
-        reader.refuse("theta", places[:, 2], FOUR_TURNS, TURNED)
-        places[:, 2] = wrap(places[:, 2])
+    places = np.column_stack([plain, _headings(reader)])
     covariances = _noise(reader, np.isfinite(places[:, 2]))
     levers = np.zeros((len(ns), 2))
     for column, role in enumerate(("lever_x", "lever_y")):
@@ -90,6 +86,15 @@ def positions_of(table: Table, options: TableOptions) -> Timed:
     ns, order, notes = ordered(reader.table, ns)
     rows = np.column_stack([places, covariances.reshape(-1, 9), levers])[order]
     return Timed(table, ns, rows, reader.described(), notes=(*notes, *plane))
+
+
+def _headings(reader: Reader) -> Array:
+    """The headings (N,), wrapped; NaN where a cell is empty, or all of them where there is no such column."""
+    if not reader.has("theta"):
+        return np.full(len(reader.table), np.nan)
+    headings = reader.numbers("theta", finite=False)[:, 0]
+    reader.refuse("theta", headings, FOUR_TURNS, TURNED)
+    return np.asarray(wrap(headings))
 
 
 def _noise(reader: Reader, oriented: np.ndarray) -> Array:
@@ -137,9 +142,9 @@ class Drive:
     sightings: Timed
     truth: Timed | None = None
     landmarks: Mapping[int, Array] | None = None
-    sensor_offset: tuple[float, ...] | None = None
+    sensor_offset: tuple[float, float] | None = None
     notes: tuple[str, ...] = ()
-    truth_offset: tuple[float, ...] | None = None
+    truth_offset: tuple[float, float] | None = None
     relations: Timed | None = None
     positions: Timed | None = None
 
@@ -178,14 +183,14 @@ class Drive:
             **streams,
             landmarks=self.sightings.ids,
             options=reading,
-            truth_offset=(0.0, 0.0) if self.truth_offset is None else checked_offset("truth_offset", self.truth_offset),
+            truth_offset=self.truth_offset or (0.0, 0.0),
             true_landmarks=self.landmarks,
             classes=self.sightings.classes,
             origin=origin / 1e9,
             name=name,
             notes=(*self.notes, *remarks),
             doubts=tuple(doubts),
-            sensor=None if self.sensor_offset is None else SensorModel(offset=self.sensor_offset),  # type: ignore[arg-type]
+            sensor=None if self.sensor_offset is None else SensorModel(offset=self.sensor_offset),
         )
 
 
@@ -198,13 +203,8 @@ def read_drive(
         LogError: a table lacks a column or has an impossible value.
     """
     options = options or TableOptions()
-    try:
-        moved = odometry_of(_in_order("odometry", odometry, options), options)
-        seen = sightings_of(_in_order("sightings", sightings, options, moved), options)
-    except LogError:
-        if (exchanged := _exchanged(odometry, sightings, options)) is not None:
-            raise exchanged from None
-        raise
+    moved = odometry_of(_in_order("odometry", odometry, options), options)
+    seen = sightings_of(_in_order("sightings", sightings, options, moved), options)
     read: dict[str, Any] = {}
     for kind, table in others.items():
         if table is not None:
@@ -216,18 +216,6 @@ def read_drive(
     return Drive(
         moved, seen, landmarks=landmarks, sensor_offset=options.sensor_offset, truth_offset=options.truth_offset, **read
     )
-
-
-def _exchanged(odometry: Any, sightings: Any, options: TableOptions) -> LogError | None:
-    """The error of two tables of which each has the names of the columns of the other; None for others."""
-    with suppress(LogError):
-        moved = Reader("odometry", table_of(sightings, "sightings"), options)
-        seen = Reader("sightings", table_of(odometry, "odometry"), options)
-        motion = moved.has("nu", "omega") or moved.has("x", "y", "theta")
-        if motion and moved.table.names and seen.table.names and seen.has("range", "bearing"):
-            what = f"it has the columns of sightings, and {moved.table.source} those of odometry"
-            return seen.table.error(None, f"{what}: exchange the two tables")
-    return None
 
 
 #: the time between two drives [s]. `estimate_robot` and checks judge by time what belongs together: with a second between
@@ -486,15 +474,9 @@ def map_of(table: Table, options: TableOptions, names: Mapping[str, int] | None 
             "so those of a map by itself would be other landmarks: give the landmarks of both the same whole numbers"
         )
         raise table.error(None, f"{words}, {advice}")
-    places = reader.numbers("x", "y")
-    headings = np.full(len(ids), np.nan)
-    if reader.has("theta"):
-        headings = reader.numbers("theta", finite=False)[:, 0]
-        reader.refuse("theta", headings, FOUR_TURNS, TURNED)
-    _, firsts, counts = np.unique(ids, return_index=True, return_counts=True)
-    if (k := first(counts > 1)) is not None:
-        again = int(np.flatnonzero(ids == ids[firsts[k]])[1])
-        name = next((name for name, number in (names or {}).items() if number == ids[again]), ids[again])
-        raise table.error(again, f"landmark {name} is in the map twice; each landmark has one place")
+    places, headings = reader.numbers("x", "y"), _headings(reader)
+    if (k := first(~np.isin(np.arange(len(ids)), np.unique(ids, return_index=True)[1]))) is not None:
+        name = next((name for name, number in (names or {}).items() if number == ids[k]), ids[k])
+        raise table.error(k, f"landmark {name} is in the map twice; each landmark has one place")
     rows = zip(ids.tolist(), places, headings.tolist())
     return {j: place if np.isnan(heading) else np.append(place, heading) for j, place, heading in rows}

@@ -147,6 +147,24 @@ def range_faults(ranges: np.ndarray, bearings: np.ndarray | None = None) -> list
     return [fault(ranges < 0, "a negative range", cause), fault(ranges == 0, "a range of 0", nothing)]
 
 
+def sound_sightings(
+    sightings: np.ndarray, error: Callable[[int, str], LogError], *, strict: bool
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """`sound_rows` of sightings (N, 2 or 3)."""
+    faults = range_faults(*sightings[:, :2].T)
+    faults += [finite_fault(*column, "") for column in zip(sightings.T, ("range", "bearing", "orientation"))]
+    return sound_rows(len(sightings), "sightings", faults, error, strict=strict)
+
+
+def fix_faults(columns: Mapping[str, np.ndarray]) -> list[Fault]:
+    """The rows whose latitude and longitude (N,), if columns have these, are both 0: what receivers give without a fix."""
+    if not {"latitude", "longitude"} <= columns.keys():
+        return []
+    zero = (columns["latitude"] == 0) & (columns["longitude"] == 0)
+    message = "latitude and longitude are 0, as of a receiver without a fix: remove such rows"
+    return [Fault(zero, "latitude and longitude 0, as of a receiver without a fix", lambda _: message)]
+
+
 #: a single value is wrong beyond this many times the usual largest one, where no other is above twice that
 _SPIKE, _USUAL = 10.0, 2.0
 
@@ -241,11 +259,11 @@ class TableOptions:
         "counterclockwise", "Direction in which bearings and orientations grow",
         choices=("counterclockwise", "clockwise"),
     )  # fmt: skip
-    sensor_offset: tuple[float, ...] | None = option(
+    sensor_offset: tuple[float, float] | None = option(
         None, "Position of the sensor on the robot: forward, left", "m", default_text="0,0, or as the bag says",
         metavar="FORWARD,LEFT",
     )  # fmt: skip
-    truth_offset: tuple[float, ...] | None = option(
+    truth_offset: tuple[float, float] | None = option(
         None, "Point of the robot that the truth is of, such as a GPS antenna: forward, left", "m", default_text="0,0",
         metavar="FORWARD,LEFT",
     )  # fmt: skip
@@ -268,8 +286,8 @@ class TableOptions:
                 check_choice(name, unit, choices)
         for name in ("sensor_offset", "truth_offset"):
             if (offset := getattr(self, name)) is not None:
-                checked_offset(name, offset)
-        for name in ("axes", "centre", "bearings", "track", "sensor_yaw"):
+                object.__setattr__(self, name, checked_offset(name, offset))
+        for name in ("axes", "centre", "bearings", "track", "sensor_yaw", "strict"):
             declared_in(TableOptions)[name].checked(getattr(self, name))
         for table in TABLES:
             self.clock(table)

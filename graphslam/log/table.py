@@ -133,7 +133,9 @@ class Columns(Table):
 
 
 def _column(values: Any) -> np.ndarray:
-    """A column as an array; durations of Python, which NumPy keeps as objects, as its own."""
+    """A column as an array; durations of Python, which NumPy keeps as objects, as its own; masked numbers as NaN."""
+    if isinstance(values, np.ma.MaskedArray) and np.any(values.mask):
+        values = np.ma.filled(values.astype(float), np.nan)
     array = np.asarray(values)
     durations = array.dtype.kind == "O" and array.size and all(isinstance(value, timedelta) for value in array.flat)
     return array.astype("timedelta64[us]") if durations else array
@@ -201,12 +203,12 @@ _NAMES = {
     "nanosec": "nanosec nanosecs nsec nsecs nanoseconds",
     "nu": (
         "nu v vel velocity speed linear_x linear_velocity forward_velocity forward_speed lin_vel linear vx v_x "
-        "v_lin translational_velocity"
+        "v_lin translational_velocity linear_velocity_x"
     ),
     "vy": "vy v_y linear_y lateral_velocity lateral_speed velocity_y speed_y sideways_velocity v_lat",
     "omega": (
         "omega w om angular_z angular_velocity yaw_rate yawrate turn_rate ang_vel angular wz w_z gyro_z v_ang "
-        "rotational_velocity omega_z theta_dot yaw_dot"
+        "rotational_velocity omega_z theta_dot yaw_dot angular_velocity_z"
     ),
     "x": "x pos_x px position_x tx rel_x translation_x",
     "y": "y pos_y py position_y ty rel_y translation_y",
@@ -218,14 +220,14 @@ _NAMES = {
     "qw": "qw q_w orientation_w rotation_w",
     "id": (
         "id landmark landmark_id lm lm_id tag tag_id marker marker_id beacon beacon_id fiducial_id feature "
-        "feature_id barcode label class_id target target_id subject ident number name landmarkid tagid markerid"
+        "feature_id barcode label class_id target target_id subject ident number name"
     ),
     "class": "class class_name class_label colour color colour_name color_name category class_id kind type",
     "range": "range r distance dist rho l d ranges",
     "bearing": "bearing b phi azimuth angle bearings bearing_angle theta beta",
     "orientation": "orientation psi orient",
-    "t1": "t1 time1 t_1 time_1 t_from from_time from t_a stamp1",
-    "t2": "t2 time2 t_2 time_2 t_to to_time to t_b stamp2",
+    "t1": "t1 time1 t_1 time_1 t_from from_time t_a stamp1",
+    "t2": "t2 time2 t_2 time_2 t_to to_time t_b stamp2",
     "dx": "dx delta_x d_x x",
     "dy": "dy delta_y d_y y",
     "dtheta": "dtheta delta_theta d_theta dyaw dheading theta yaw",
@@ -251,17 +253,17 @@ NAMES: dict[str, tuple[str, ...]] = {
     **{role: _words(names) for role, names in _NAMES.items()},
 }
 #: names too short or too general to be recognised at the end of a longer one
-WHOLE = _words("v w r l d b kind type from to std sx sy t1 t2 lat lon lng long")
+WHOLE = _words("v w r l d b kind type std sx sy t1 t2 lat lon lng long")
 _UNITS = {
     "s": "s sec secs seconds",
     "ms": "ms msec millis milliseconds",
     "us": "us µs μs usec micros microseconds",
     "ns": "ns nanos nanoseconds",
-    "m": "m meters metres m/s mps",
-    "cm": "cm cm/s",
-    "mm": "mm mm/s",
-    "radians": "rad radian radians rad/s rads",
-    "degrees": "deg degs degree degrees deg/s dps ° °/s",
+    "m": "m meter meters metre metres m/s m/sec mps",
+    "cm": "cm centimeter centimeters centimetre centimetres cm/s",
+    "mm": "mm millimeter millimeters millimetre millimetres mm/s",
+    "radians": "rad radian radians rad/s rad/sec radians/s rads",
+    "degrees": "deg degs degree degrees deg/s deg/sec degrees/s dps ° °/s",
 }
 #: units at the end of the name of a column -> the unit
 UNITS = {name: unit for unit, names in _UNITS.items() for name in _words(names)}
@@ -269,11 +271,12 @@ UNITS = {name: unit for unit, names in _UNITS.items() for name in _words(names)}
 OTHER_UNITS = frozenset(
     _words(
         "km dm ft feet foot in inch inches yd mi miles km/h kmh kph ft/s mph kn kt knots min minutes h hours days rpm rev/s "
-        "deg/min deg/h rad/min m/min mm/min cm/min µm μm hz mrad mrad/s gon grad arcmin arcsec"
+        "deg/min deg/h rad/min m/min mm/min cm/min µm μm hz mrad mrad/s gon grad arcmin arcsec d day days rev/min 1/min "
+        "px pixel pixels tick ticks ticks/s count counts counts/s"
     )
 )
 #: units at the end of a name; range_min and x_in are rather a minimum and an input
-_ENDS = UNITS | {unit: unit for unit in OTHER_UNITS - {"in", "min", "mi", "h", "hz", "kn", "kt", "grad", "foot"}}
+_ENDS = UNITS | {unit: unit for unit in OTHER_UNITS.difference(_words("in min mi h hz kn kt grad foot d day px count"))}
 #: what is per second
 RATES = ("left", "right", "nu", "vy", "omega")
 #: what each column measures, a key of `rows.UNITS_OF`
@@ -294,9 +297,13 @@ class Chosen:
 
 def plain(name: str) -> tuple[str, str | None]:
     """A column's name in small letters and underscores, without its unit; and the unit, one of `OTHER_UNITS` as it stands."""
-    name, unit = name.strip().strip("\"'#").strip().lower(), None
-    if match := re.search(r"[\[(]\s*([^\])]*?)\s*[\])]\s*$", name):
-        unit, name = UNITS.get(match[1], match[1] if match[1] in OTHER_UNITS else None), name[: match.start()]
+    name, unit = name.strip().strip("\"'#").strip(), None
+    if match := re.search(r"[\[(]\s*([^\])]*?)\.?\s*[\])]\s*$", name):
+        # per second may be "s^-1"
+        stated, name = re.sub(r"\s+(s|h|min)\s*\^?[-−]1$", r"/\1", match[1].lower()), name[: match.start()]
+        unit = UNITS.get(stated, stated if stated in OTHER_UNITS else None)
+    # "tagId" and "yawRate" are two words
+    name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
     words = [word for word in re.split(r"[^0-9a-z°%µμ]+", name.replace("%", "")) if word]
     if words[-2:] == ["km", "h"]:
         words[-2:] = ["kmh"]
@@ -344,12 +351,16 @@ def find(
         for role in roles:
             if role in found:
                 continue
+            others = [each for other in roles if other != role for each in NAMES[other]]
             for name in NAMES[role]:
+                # orientation_x is no x
+                longer = tuple(f"_{each}" for each in others if each.endswith(f"_{name}"))
                 fits = [
                     k
                     for k, (own, _) in enumerate(names)
                     if k not in taken | left_alone
                     and (own == name or (tail and name not in WHOLE and own.endswith(f"_{name}")))
+                    and not own.endswith(longer)
                 ]
                 if len(fits) > 1 and role in dispensable:
                     break

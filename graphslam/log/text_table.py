@@ -9,7 +9,7 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from itertools import takewhile
+from itertools import chain, takewhile
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,8 @@ _HEAD = 50
 _LONGEST = 1000
 #: the longest line with quotation marks; the module csv refuses cells of more than 131,072 letters
 _LONGEST_QUOTED = 100_000
+#: a number with a mark between thousands
+_GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:(?:,\d{3})+(?:\.\d*)?|(?:\.\d{3})+(?:,\d*)?)")
 
 
 class TextTable(Table):
@@ -88,6 +90,8 @@ class TextTable(Table):
             _, below, text = text.partition("\n")
             if not below:
                 raise FormatError(path, 1, "there is a header, but no row below it")
+        if self._decimal_comma:
+            _check_thousands(path, text)
         self._text, self._length = text, text.count("\n") + bool(text)
         self._known: dict[int, Array] = {}
         if '"' in text:
@@ -120,6 +124,8 @@ class TextTable(Table):
                 message = f"{self.title(column)} should be a number, not {quoted(cells[column])}"
                 if tuple(cells) == self.names:
                     message += "; this line repeats the header, as where files were joined; delete it"
+                elif re.fullmatch(r"[\d.,'’\s]*[.,'’\s][\d.,]*", cells[column]):
+                    message += "; write decimals with a point, and thousands without a mark"
                 raise self.error(row, message) from None
         return values
 
@@ -204,6 +210,17 @@ class TextTable(Table):
                 message += " in the last line; was the file cut short?"
             raise self.error(row, message)
         return self._rows
+
+
+def _check_thousands(path: Path, text: str) -> None:
+    """Raise `FormatError` where all numbers with commas, or all with points, have these between thousands."""
+    for mark, other in (",.", ".,") if "." in text else ():
+        found = (each[0] for each in re.finditer(rf"(?<![\w.,:])[+-]?\d+\{mark}[\d.,]*(?![\w.,:])", text))
+        number = next(found, "")
+        grouped = all(map(_GROUPED.fullmatch, chain([number], found)))
+        if grouped and re.search(rf"\d\{other}\d", text):
+            message = f"numbers such as {number} seem to have a mark between thousands: write them without it"
+            raise FormatError(path, None, message)
 
 
 def _check_length(path: Path, text: str) -> None:

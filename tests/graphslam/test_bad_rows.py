@@ -166,7 +166,7 @@ def test_the_book_format(tmp_path):
     log = load(path)
     assert len(log.steps) == M - 2
     assert f"1 of {M} sightings has a negative range: left out (line {rows[3] + 1})" in log.notes
-    with pytest.raises(FormatError, match=f":{rows[3] + 1}: range -0.035 m; a range must be above zero"):
+    with pytest.raises(FormatError, match=f":{rows[3] + 1}: the range is -0.035 m, but a range is above zero"):
         load(path, strict=True)
 
 

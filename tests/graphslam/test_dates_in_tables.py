@@ -31,6 +31,8 @@ def test_dates_are_seconds(tmp_path):
         ("2026-11-22T10:00:{:02}.125Z", "2026-11-22T10:00:{:02}.25"),
         ("2026-11-22 10:00:{:02}.125", "2026-11-22T12:30:{:02}.250000+02:30"),
         ("2026-11-22T10:00:{:02}.125+00:00", "2026-11-22 06:30:{:02}.25-0330"),
+        ("2026/11/22 10:00:{:02}.125 GMT", "2026-11-22T12:00:{:02}.25+02"),
+        ("10:00:{:02}.125", "10:00:{:02}.25"),
     ):
         dated = read(tmp_path, odometry(controls), seen(sightings))
         np.testing.assert_array_equal(dated.steps, plain.steps)
@@ -105,6 +107,23 @@ def test_times_are_used_up_to_2262_and_not_farther_apart(tmp_path):
     lines = odometry("1700-01-01T00:00:{:02}") + "2200-01-01T00:00:00,0.5,0.1\n"
     with pytest.raises(LogError, match=r"odometry\.csv:52: the times 't' are more than 292 years apart"):
         read(tmp_path, lines, seen("1700-01-01T00:00:{:02}"))
+
+
+@pytest.mark.parametrize(
+    ("header", "time", "message"),
+    [
+        (HEADER, lambda t: f"{46347 + t / 86400:.11f}", "neighbouring rows are .*e-06 s apart .*: are the times in minutes"),
+        # as milliseconds since 1970 these are of 1989, and as microseconds of the year 2001
+        (HEADER, lambda t: f"{6e11 + 1e9 * t:.0f}", "neighbouring rows are 100000 s apart .*: are the times in ns"),
+        (HEADER, lambda t: f"{1e11 + 1e9 * t:.0f}", "the time 't' is 100000000000, .*is its unit stated rightly"),
+        ("sec,nsec,v,w\n", lambda t: f"{t:.0f},{1e9 * t:.0f}", "'nsec' is 1000000000, and no part .* columns='odometry.t=2'"),
+    ],
+)  # fmt: skip
+def test_other_units_of_time_are_named(tmp_path, header, time, message):
+    """Days of a spreadsheet were seconds, a clock's nanoseconds milliseconds, and a whole time the part of a second."""
+    rows = "".join(f"{time(k / 10)},0.5,0.1\n" for k in range(100))
+    with pytest.raises(LogError, match=rf"odometry\.csv(:\d+)?: {message}"):
+        read(tmp_path, header + rows, seen("{}"))
 
 
 def test_a_clock_may_not_lead_beyond_64_bits(tmp_path):

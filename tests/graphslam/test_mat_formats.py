@@ -31,7 +31,9 @@ def huang(tmp_path):
     variables = {
         "store_speed": speed, "store_turnrate": turn, "store_robotTrue": np.array(true).T,
         "store_beaconsTrue": np.array([[1, 5, 0], [2, 0, 5]], dtype=np.uint16),
-        "sensor_data": np.array([[1, 1, 5.0, 2 * np.pi, 0, 0, 0], [4, 2, 5.0, 1.0, 0, 0, 0], [4, 1, -0.01, 1.0, 0, 0, 0]]),
+        "sensor_data": np.array(
+            [[1, 1, 5.0, 2 * np.pi, 0, 0, 0], *(20 * [[4, 2, 5.0, 1.0, 0, 0, 0]]), [4, 1, -0.01, 1.0, 0, 0, 0]]
+        ),
     }  # fmt: skip
     for name, value in variables.items():
         savemat(path / f"{name}.mat", {name: value})
@@ -44,10 +46,12 @@ def test_huang(huang):
     # the robot turns first and then drives straight, as the true poses here do
     np.testing.assert_allclose(log.initial_poses, log.true_poses, atol=1e-12)
     np.testing.assert_allclose(log.times, [0, 0.3, 0.6, 0.9])
-    assert log.steps.tolist() == [0, 3]
+    assert log.steps.tolist() == [0, *(20 * [3])]
     np.testing.assert_allclose(log.sightings[0], [5.0, 0.0], atol=1e-12)
     assert log.true_landmarks[2].tolist() == [0.0, 5.0]
-    assert "1 of 3 sightings have a range not above zero: left out" in log.notes
+    assert "1 of 22 sightings has a negative range: left out (row 22)" in log.notes
+    with pytest.raises(FormatError, match="the range is -0.01 m"):
+        load(huang, strict=True)
     assert (log.sensor.range_rate, log.sensor.range_std) == (0.0, 0.1)
     assert log.sensor.bearing_std == pytest.approx(np.pi / 180)
 
@@ -84,7 +88,7 @@ def test_huang_without_truth_or_noise(huang):
         ("sensor_data", np.zeros((0, 7)), "no sighting of any landmark|should be N x 7"),
         ("sensor_data", np.array([[5, 1, 1.0, 0, 0, 0, 0]]), "steps 1 to 4"),
         ("sensor_data", np.array([["no", "numbers"]]), "should be numbers"),
-        ("sensor_data", np.array([[1, 1, -1.0, 0, 0, 0, 0]]), "no sighting has a range above zero"),
+        ("sensor_data", np.array([[1, 1, -1.0, 0, 0, 0, 0]]), "the range is -1 m, but a range is above zero"),
     ],
 )
 def test_huang_with_another_content(huang, name, value, message):
@@ -221,7 +225,7 @@ def test_rows_of_victoria_park_that_are_out_of_order_are_sorted(park):
 def test_steps_of_huang_need_no_order(huang):
     plain = load(huang)
     seen = loadmat(huang / "sensor_data.mat")["sensor_data"]
-    savemat(huang / "sensor_data.mat", {"sensor_data": seen[[1, 2, 0]]})
+    savemat(huang / "sensor_data.mat", {"sensor_data": np.roll(seen, -1, axis=0)})
     assert load(huang).equals(plain)
 
 

@@ -432,7 +432,7 @@ def test_latitude_and_longitude_are_metres_from_the_first_fix(tmp_path):
     ("table", "old", "new", "message"),
     [
         ("relations", "0.1,0.02", "0.1,-0.02", r"relations.csv:2: the standard deviation of x is -0.02"),
-        ("relations", "t1,t2", "step1,t2", r"'step1' counts steps, which tables do not have"),
+        ("relations", "t1,t2", "from,to", r"'from' counts steps, which tables do not have"),
         ("relations", "0.2,1.0", "1.0,1.0", r"relations.csv:2: the relation goes from 1.000 s to the same time"),
         ("relations", "0.3,0.02", "170,0.02", r"relations.csv:3: the turn is 170 rad, beyond 2 pi: is it in degrees"),
         ("relations", "0.2,1.0", "0.2,101.0", r"1 of 2 relations are from before or after the odometry"),

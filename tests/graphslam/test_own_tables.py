@@ -52,11 +52,26 @@ def test_the_numbers_are_those_of_the_tables(expected):
         text("bearing,id,t,range", [(b, j, t, r) for t, j, r, b in SEEN]),
         text("t_ms,id,range_mm,phi", [(t * 1000, j, r * 1000, b) for t, j, r, b in SEEN]),
         text('"t","id","range","bearing"', SEEN),
+        text("t,id,range,bearing", SEEN).encode("utf-16"),
+        text("timeStamp,tagId,rangeMillimeters,bearing [rad.]", [(t, j, r * 1000, b) for t, j, r, b in SEEN]),
         text("t,id,range,bearing,comment", [(*row, "seen") for row in SEEN]).replace("'", '"'),
         text("t;id;range;bearing", SEEN, ";").replace(".", ","),
         "\n".join(["t,id,range,bearing", "", "# a comment", *text("", SEEN).splitlines()[1:]]) + "\n\n",
     ],
-    ids=["semicolons", "tabs", "comment", "byte-order mark", "order", "units", "quotes", "words", "comma", "blank"],
+    ids=[
+        "semicolons",
+        "tabs",
+        "comment",
+        "byte-order mark",
+        "order",
+        "units",
+        "quotes",
+        "UTF-16",
+        "camel case",
+        "words",
+        "comma",
+        "blank",
+    ],
 )
 def test_forms_of_the_same_table(drive, expected, sightings):
     log = load(drive(sightings=sightings))
@@ -128,6 +143,8 @@ def test_psi_from_the_centre_of_the_robot_turns_with_the_bearing(drive):
     """psi = theta + phi - m_theta, so that the heading of a landmark is the same from the centre and from the sensor."""
     tables = [drive(sightings=text("t,id,range,bearing,orientation", [(*row, 0.4) for row in SEEN])) / "odometry.csv"]
     tables.append(tables[0].with_name("sightings.csv"))
+    ahead = Log.from_tables(*tables, sensor_offset=0.7, centre="robot")
+    assert ahead.equals(Log.from_tables(*tables, sensor_offset=np.array([0.7, 0.0]), centre="robot"))
     log = Log.from_tables(*tables, sensor_offset=(0.7, -0.4), centre="robot")
     headings = log.sensor.h_inverse(np.zeros((len(SEEN), 3)), log.sightings)[:, 2]
     np.testing.assert_allclose(headings, [b - 0.4 for *_, b in SEEN], atol=1e-12)
@@ -327,12 +344,10 @@ def test_columns_that_are_missing_are_said_together(drive):
 
 
 def test_exchanged_tables_are_said(drive):
-    with pytest.raises(
-        LogError, match=r"odometry.csv: it has the columns of sightings, and .*sightings.csv those of odom"
-    ):
+    with pytest.raises(LogError, match="odometry.csv: it has the columns of sightings: are the two tables exchanged?"):
         load(drive(odometry=text("t,id,range,bearing", SEEN), sightings=text("t,nu,omega", ODOMETRY)))
     moved, seen = {"t": [0, 1], "nu": [1, 1], "omega": [0, 0]}, {"t": [0], "id": [1], "range": [2], "bearing": [0]}
-    with pytest.raises(LogError, match="^odometry: it has the columns of sightings, and sightings those of odometry"):
+    with pytest.raises(LogError, match="^odometry: it has the columns of sightings"):
         Log.from_tables(seen, moved)
 
 
@@ -358,6 +373,9 @@ def test_names_of_columns():
     assert plain("speed_kmh") == plain("speed km/h") == ("speed", "kmh")
     assert plain("t [µs]") == plain("t_μs") == ("t", "us")  # micro sign, Greek letter
     assert plain("range_min") == ("range_min", None)
+    assert plain("speed [km h-1]") == ("speed", "km/h")
+    assert plain("yawRate (deg s^-1)") == ("yaw_rate", "degrees")
+    assert plain("speed [ticks/s]") == ("speed", "ticks/s")
 
 
 @pytest.mark.parametrize(
@@ -400,9 +418,13 @@ def test_times_in_microseconds(drive, expected, micro):
 def test_columns_of_exported_messages(drive, expected):
     """The names that `rostopic echo -p` and PlotJuggler give."""
     names = "%time,field.header.seq,field.twist.twist.linear.x,field.twist.twist.linear.y,field.twist.twist.angular.z"
-    rows = [(int(t * 1e9) + 10**18, k, v, 0.0, w) for k, (t, v, w) in enumerate(ODOMETRY)]
+    place, turn = "field.pose.pose.position", "field.pose.pose.orientation"
+    names += "".join(f",{place}.{axis}" for axis in "xyz") + "".join(f",{turn}.{axis}" for axis in "xyzw")
+    rows = [(int(t * 1e9) + 10**18, k, v, 0.0, w, *(7 * [0.5])) for k, (t, v, w) in enumerate(ODOMETRY)]
     log = load(drive(odometry=text(names, rows), recipe="[odometry]\nclock = -1e9\n"))
     np.testing.assert_array_equal(log.controls[:, 1], expected.controls[:, 1])
+    imu = text("t,speed,angular_velocity.x,angular_velocity.z", [(t, v, 9.0, w) for t, v, w in ODOMETRY])
+    np.testing.assert_array_equal(load(drive(odometry=imu, recipe="")).controls, expected.controls)
 
 
 def test_the_truth_may_be_of_an_antenna(drive):
@@ -422,3 +444,17 @@ def test_times_since_1970_may_be_floating_point_numbers(factor, unit):
     sightings = {"t": seen * factor, "id": [7, 7], "range": [2.0, 1.0], "bearing": [0.1, 0.2]}
     log = Log.from_tables({"t": times * factor, "nu": 0 * t + 0.5, "omega": 0 * t + 0.3}, sightings, time=unit)
     np.testing.assert_allclose(log.dt.sum(), 2.0, atol=1e-6)
+
+
+def test_fixes_of_a_receiver_without_one_are_left_out(drive):
+    """The plane of the others touched the Earth at latitude and longitude 0, 3,000 km away."""
+    rows = [(0.3, 0, 0, 0.1), *(20 * [(7.25, 60.0, 25.0, 0.1)])]
+    log = load(drive(positions=text("t,lat,lon,sigma", rows)))
+    np.testing.assert_array_equal(log.positions.places[:, :2], 0.0)
+    assert any("1 of 21 rows has latitude and longitude 0" in note for note in log.notes)
+
+
+def test_masked_numbers_are_none():
+    nu = np.ma.array(NU, mask=np.arange(len(NU)) == 5)
+    log = Log.from_tables({"t": T, "nu": nu, "omega": OMEGA}, np.array(SEEN))
+    assert "odometry: 1 of 201 rows has 'nu' empty, NaN or infinite: left out (row 6)" in log.notes

@@ -159,6 +159,7 @@ def test_a_pause_an_arc_and_a_turn_lead_along_any_motion() -> None:
         ("EDGE_SE2 0 A0 A1 1 0 0 1 0 0 1 0", r"3: expected 'EDGE_SE2 t A B .*', 13 words, found 12"),
         ("EDGE_SE2 0 A0 A1 1 0 0 1 2 0 1 0 1", r"3: the covariance is not symmetric and positive definite"),
         ("EDGE_SE2 0 A0 A7 1 0 0 1 0 0 1 0 1", r"3: A7 has no vertex"),
+        ("EDGE_SE2 0 A0 L1 1 0 0 1 0 0 1 0 1", r"3: L1 cannot be the name in EDGE_SE2: L is the letter of landmarks"),
         ("EDGE_RANGE 0 A0 L1 -1 1", r"3: the range is -1, but it must be above zero"),
         ("EDGE_RANGE 0 A0 L1 1 0", r"3: the variance is 0, but it must be above zero"),
         ("EDGE_SE2_XY 0 L1 A0 1 1 1 0 1", r"3: the first name must be a pose, and L1 is a landmark"),

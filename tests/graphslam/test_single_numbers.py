@@ -317,7 +317,7 @@ def test_an_empty_cell_of_a_table_is_a_sighting_with_one_number() -> None:
     alone = Log.from_tables(odometry, {"t": [1.0, 2.0], "id": [3, 4], "bearing": [0.4, 0.1]})
     assert alone.partial_sightings is not None and np.isnan(alone.partial_sightings.ranges).all()
     assert alone.partial_sightings.bearings.tolist() == [0.4, 0.1]
-    assert any("the sensor measures the bearing alone" in note for note in alone.notes)
+    assert any("have a range or a bearing alone" in note for note in alone.notes)
     with pytest.raises(LogError, match="no column for bearing"):
         Log.from_tables(
             odometry, {"t": [1.0, 2.0], "id": [3, 4], "range": [2.0, 3.0], "x": [1.0, 2.0], "y": [1.0, 0.0]}
