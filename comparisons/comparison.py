@@ -23,7 +23,7 @@ from graphslam.se2 import Array, difference
 
 from .estimators import ESTIMATORS, check_estimators, default_estimators
 from .estimators.attempt import Skipped, attempts
-from .estimators.config import config_text
+from .estimators.config import config_text, copies_of
 from .estimators.filters import Announce, announce_memory
 from .options import AUTO, DOUBTFUL, MODELS, LimitOptions, OutputOptions, RunOptions, options_of
 from .options.reading import LogOrPath, prepare
@@ -68,6 +68,8 @@ class Comparison(Displayed):
         options: of the run, noise models filled in.
         estimators: the names that were asked for; None for all.
         time_limit: of each estimator [s]; None for none.
+        given: the options as they were given.
+        copies: of the files that these name, by option: the name of a copy beside the configuration, and what writes it.
         alone: of several logs, what the graph solvers of `ALONE` find for each log by itself, by name; None where one failed.
     """
 
@@ -78,6 +80,8 @@ class Comparison(Displayed):
     options: RunOptions = field(default_factory=RunOptions)
     estimators: tuple[str, ...] | None = None
     time_limit: float | None = None
+    given: RunOptions = field(default_factory=RunOptions)
+    copies: Mapping[str, tuple[str, Callable[[Path], object]]] = field(default_factory=dict)
     alone: Mapping[str, tuple[EstimatorResult | None, ...]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -273,7 +277,10 @@ class Comparison(Displayed):
     @property
     def config(self) -> str:
         """The configuration of this run as TOML; ``slam-compare run --config`` repeats the run from it."""
-        return config_text(self.source, self.estimators, self.options, time_limit=self.time_limit)
+        return self._config({})
+
+    def _config(self, copies: Mapping[str, str]) -> str:
+        return config_text(self.source, self.estimators, self.given, time_limit=self.time_limit, copies=copies)
 
     def save(
         self, directory: str | PathLike[str] | None = None, *, figures: Sequence[str] = OutputOptions().figures,
@@ -286,7 +293,8 @@ class Comparison(Displayed):
         comparison.json (docs/schema.json), the figure, trajectories NAME.tum and maps NAME-map.csv (see `results.files`), of
         solved graphs NAME-map.npz with the joint covariance of the landmarks, for ``--map`` with other logs, the
         graph as graph.g2o where pose-graph files can hold it, noise and biases that were estimated from the log as
-        noise.toml, for ``--noise`` with other logs of the robot, and the configuration as config.toml.
+        noise.toml, for ``--noise`` with other logs of the robot, and the configuration as config.toml, with copies of the
+        noise file and of the map that were given.
 
         Args:
             directory: made where it does not exist; default: a new ``results/<time>/``, to which ``results/latest``
@@ -321,7 +329,9 @@ class Comparison(Displayed):
 
     def _writers(self) -> Iterator[tuple[str, Callable[[Path], object]]]:
         """The files beside JSON and figure by name, with what writes each."""
-        for name, text in (("config.toml", lambda: self.config), *texts(self)):
+        names = {option: name for option, (name, _) in self.copies.items()}
+        yield from self.copies.values()
+        for name, text in (("config.toml", lambda: self._config(names)), *texts(self)):
             yield name, lambda path, text=text: path.write_text(text(), encoding="utf-8")  # type: ignore[misc]
         for result in self.results:
             if isinstance(result.origin, Solution) and result.landmarks and result.named:
@@ -410,7 +420,9 @@ def compare(
     """The same as `run`, with the options as one object; ``announce`` is called where filters need much memory."""
     names = None if estimators is None else check_estimators(estimators)
     time_limit = LimitOptions.of(time_limit=time_limit).time_limit
-    data, source, options = prepare(log, options, together=True)
+    given = options
+    data, source, options = prepare(log, given, together=True)
+    copies = copies_of(given)
     if len(data.steps) == 0 and not data.measured:
         farthest = options.max_range
         within = "" if farthest is None else f" within max_range ({farthest:g} m)"
@@ -437,7 +449,7 @@ def compare(
         if isinstance(first.error, SlamError):
             raise first.error
         raise SlamError(f"no estimator has a result; {first.name} {first.outcome}: {first.reason}") from first.error
-    return Comparison(data, results, skipped, source, options, names, time_limit, alone)
+    return Comparison(data, results, skipped, source, options, names, time_limit, given, copies, alone)
 
 
 def _noise(model: MotionModel | SensorModel) -> dict[str, Any]:

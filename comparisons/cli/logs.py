@@ -27,7 +27,7 @@ def simulate(
     *,
     options: declared.SimulationOptions,
     format: Annotated[str | None, typer.Option(help="npz or lnpr.", show_default="by the suffix of OUT")] = None,
-    truth: Annotated[bool, typer.Option(help="Keep the true poses and landmarks (lnpr cannot).")] = True,
+    truth: Annotated[bool, typer.Option(help="Keep the true poses, landmarks and noise models (lnpr cannot).")] = True,
 ) -> None:
     """Write a simulated log with its ground truth.
 
@@ -41,14 +41,21 @@ def simulate(
     """
     import graphslam
 
+    from ..options import MODELS, NoiseOptions, options_of
     from ..results.documents import SimulateDocument, describe
     from ..results.files import check_can_write
 
     check_can_write(out)
-    log = graphslam.simulate(**options.keywords_of_simulate(), name=out.stem)
-    graphslam.save(log if truth else log.replace(true_poses=None, true_landmarks=None, notes=()), out, format=format)
+    settings = options.keywords_of_simulate()
+    log = graphslam.simulate(**settings, name=out.stem)
+    # the models that were given are those of the log, so that `run` takes them
+    own = {name: settings[name] for name in MODELS if options.of_component(name)}
+    graphslam.save(
+        log.replace(**own) if truth else log.replace(true_poses=None, true_landmarks=None, notes=()), out, format=format
+    )
     output.say(f"Wrote {out}: {log.sizes}.")
-    output.hint(f"Next: {command('run', out)}")
+    of_noise = {name: value for name, value in options.numbers.items() if name in options_of(NoiseOptions)}
+    output.hint(f"Next: {command('run', out, options=() if truth else NoiseOptions.of(**of_noise))}")
     output.json(SimulateDocument(out, describe(log, out)))
 
 

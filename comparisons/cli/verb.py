@@ -234,12 +234,16 @@ def _typed(ctx: typer.Context, name: str) -> bool:
 
 
 def _without_outranked(ctx: typer.Context, values: dict[str, Any], options: dict[str, Option]) -> dict[str, Any]:
-    """The values without the noise numbers of a configuration file where --noise names another file."""
+    """The values without the noise numbers of a configuration file where --noise names another file.
+
+    Where the sensor is and what it can see is no noise.
+    """
     if not ("noise" in options and _typed(ctx, "noise")):
         return values
-    from ..options import NoiseOptions, options_of
+    from ..options import NoiseOptions, SensorModel, options_of
 
-    of_noise = {name for name, each in options_of(NoiseOptions).items() if each.only != "python"}
+    known = {name: each for name, each in options_of(NoiseOptions).items() if each.only != "python"}
+    of_noise = {name for name, each in known.items() if each.field not in SensorModel.GEOMETRY}
     return {name: value if name not in of_noise or _typed(ctx, name) else None for name, value in values.items()}
 
 

@@ -457,12 +457,13 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
 
 
 @cache
-def warm_up(estimator: str) -> None:
+def warm_up(estimator: str, *, simulated: bool = True) -> None:
     """Run an estimator on a tiny log, so that loading its modules is no part of its time.
 
-    What goes wrong here shows again, with its message, when the estimator runs on the user's log.
+    Logs that are not simulated have a robust kernel, which needs further modules. What goes wrong here shows again, with its
+    message, when the estimator runs on the user's log.
     """
     for orientation in (True, False):
-        log = simulate(steps=6, orientation=orientation)
+        log = simulate(steps=6, orientation=orientation).replace(simulated=simulated)
         with suppress(Exception), warnings.catch_warnings(action="ignore"):
             ESTIMATORS[estimator].run(log, RunOptions.of(particles=2, motion=MotionModel(), sensor=SensorModel()))

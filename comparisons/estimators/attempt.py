@@ -66,7 +66,8 @@ def add_estimators(added: bytes) -> None:
 
 def _warm_up(estimators: Sequence[str], added: bytes, prepare: Callable[[], object]) -> None:
     add_estimators(added)
-    loads: list[Callable[[], object]] = [*(partial(warm_up, name) for name in estimators), prepare]
+    of_kinds = (partial(warm_up, name, simulated=each) for name in estimators for each in (True, False))
+    loads: list[Callable[[], object]] = [*of_kinds, prepare]
     for load in loads:
         with suppress(Exception):  # it shows again, with its message, in the run
             load()
@@ -213,7 +214,7 @@ class Skipped:
 
 def attempt(name: str, log: Log, options: RunOptions) -> EstimatorResult | Skipped:
     """The result of an estimator with its warnings as notes, or the sentence of its error."""
-    warm_up(name)
+    warm_up(name, simulated=log.simulated)
     try:
         with warnings.catch_warnings(record=True, action="always") as caught:
             result = _checked(name, ESTIMATORS[name].run(log, options), log)

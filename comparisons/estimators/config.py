@@ -1,15 +1,15 @@
 """The configuration of a run as a TOML file: ``slam-compare run --config config.toml`` repeats the run.
 
-A configuration names the log by its absolute path and by the SHA-256 of its content. The place of the results is not part
-of it, so that a repeated run does not overwrite the results of the first.
+A configuration names the log by its absolute path and by the SHA-256 of its content. Noise file and map are copied beside it,
+because later runs may replace them. The place of the results is not part of it, so that a repeated run does not overwrite the
+results of the first.
 """
 
 from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -17,41 +17,62 @@ from urllib.parse import unquote_to_bytes
 
 from graphslam import OptionError, sample_log_path
 from graphslam.files import check_file, path_of
+from graphslam.maps.landmark_map import as_map
 
 from ..options import AUTO, BOOK, MODELS, LimitOptions, RunOptions, options_of
-from ..options.reading import sha256_of
+from ..options.reading import given_models, sha256_of
 from ..options.toml_files import TomlFile, to_toml
 from . import check_estimators
+
+#: the options that name files that decide the results
+FILES = ("noise", "map")
+
+#: stands for the name of a log that was not read from a file, so that no other log is taken for it
+UNNAMED = "a log that was not read from a file; name a file"
 
 
 def config_text(
     source: Path | tuple[Path | None, ...] | None, estimators: Sequence[str] | None, options: RunOptions, *,
-    time_limit: float | None = None,
+    time_limit: float | None = None, copies: Mapping[str, str],
 ) -> str:  # fmt: skip
-    """The configuration of a run as TOML; options that were chosen by the log are left out."""
-    paths = [path for path in (source if isinstance(source, tuple) else (source,)) if path is not None]
-    # logs that come from no file cannot be named
-    named = bool(paths) and (not isinstance(source, tuple) or len(paths) == len(source))
-    names = [_path_text(path.absolute()) for path in paths] if named else []
+    """The configuration of a run as TOML.
+
+    Args:
+        source: the file or folder of the log, or of each of several.
+        estimators: those that were asked for; None for all.
+        options: as they were given; what the log decides is decided again.
+        time_limit: of each estimator [s].
+        copies: names of the files beside the configuration that the options name, {"noise": "noise.toml"}, see `copies_of`.
+    """
+    sources = source if isinstance(source, tuple) else (source,)
+    paths = [path for path in sources if path is not None]
+    names = [UNNAMED if path is None else _path_text(path.absolute()) for path in sources]
     table: dict[str, Any] = {
-        "log": None if not named or paths == [sample_log_path()] else names[0],
+        "log": None if paths == [sample_log_path()] else names[0],
         "others": names[1:] or None,
-        "log_sha256": sha256_of(*paths) if named else None,
+        "log_sha256": sha256_of(*paths) if len(paths) == len(sources) else None,
         "estimators": estimators,
         "time_limit": time_limit,
-        **{each.name: value for each, value in options.changed() if each.only != "python"},
-        # the numbers of a noise file are below
-        "noise": options.noise if options.noise == AUTO else None,
-        "map": None if options.map is None else _path_text(options.map.absolute()),
+        **{each.name: value for each, value in options.changed() if each.only != "python" and each.model not in MODELS},
     }
-    for name in MODELS:
-        model = getattr(options, name)
-        # what was estimated from the log is estimated again
-        numbers = (
-            (options.beside or {}).get(name) if options.noise == AUTO else None if model is None else asdict(model)
-        )
-        table[name] = numbers or None
-    return to_toml(table, f"Repeat this run: slam-compare run --config config.toml\nmade with {', '.join(versions())}")
+    for name in FILES:
+        if (path := getattr(options, name)) not in (None, AUTO, BOOK):
+            table[name] = _path_text(path.absolute())
+    return to_toml(
+        table | dict(copies) | given_models(options),
+        f"Repeat this run: slam-compare run --config config.toml\nmade with {', '.join(versions())}",
+    )
+
+
+def copies_of(options: RunOptions) -> dict[str, tuple[str, Callable[[Path], object]]]:
+    """Copies of the noise file and of the map that options give: by option the name of the file, and what writes it."""
+    copies: dict[str, tuple[str, Callable[[Path], object]]] = {}
+    if options.noise not in (None, AUTO, BOOK):
+        content = options.noise.read_bytes()
+        copies["noise"] = "noise.toml", lambda path: path.write_bytes(content)
+    if (known := options.landmark_map or options.map) is not None:
+        copies["map"] = "map.npz", as_map(known).save
+    return copies
 
 
 def read_config(path: Path) -> dict[str, Any]:
@@ -74,7 +95,7 @@ def read_config(path: Path) -> dict[str, Any]:
     if "estimators" in values:
         file.attempt(lambda: check_estimators(values["estimators"]))
     file.attempt(lambda: LimitOptions.of(time_limit=values.get("time_limit")))
-    for key in ("log", "noise", "map"):
+    for key in ("log", *FILES):
         if key in values and (key == "log" or Path(values[key]) not in (AUTO, BOOK)):
             values[key] = path.parent / _path_of(values[key])
     if "others" in values:

@@ -105,7 +105,6 @@ class NoiseOptions(Options):
     sensor: SensorModel | None = option(None, "The sensor model.", only="python")
     # a `Calibration`, whose import takes seconds
     calibration: Any = option(None, "What was estimated from the log; a result of reading.", only="python")
-    beside: Any = option(None, "Numbers of models given beside noise auto; a result of reading.", only="python")
 
     def models(
         self, motion: MotionModel | None = None, sensor: SensorModel | None = None

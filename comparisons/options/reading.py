@@ -135,7 +135,7 @@ def prepare(
     filled: dict[str, Any] = {
         "numbers": {name: number for name, number in options.numbers.items() if name not in options_of(NoiseOptions)},
         "noise": AUTO if estimated else options.noise if of_file else None, "motion": motion, "sensor": sensor,
-        "calibration": found, "check_ids": check_ids or None, "beside": _given_models(options) if estimated else None,
+        "calibration": found, "check_ids": check_ids or None,
     }  # fmt: skip
     return data, source, replace(options, **filled, **corrected, **in_map)
 
@@ -269,9 +269,8 @@ def _compared_with_estimate(log: Log, motion: MotionModel, sensor: SensorModel) 
 
 def _gives_noise(options: LogOptions) -> bool:
     """Whether options give noise models, numbers of them, or corrections."""
-    numbers = options.of_component("motion") | options.of_component("sensor")
-    given = options.motion or options.sensor or any(getattr(options, name) is not None for name in CORRECTIONS)
-    return bool(given or numbers.keys() - set(SensorModel.GEOMETRY))
+    numbers = {name for each in given_models(options).values() for name in each}
+    return bool(_given_corrections(options) or numbers - set(SensorModel.GEOMETRY))
 
 
 def _given_corrections(options: LogOptions) -> dict[str, float]:
@@ -279,12 +278,13 @@ def _given_corrections(options: LogOptions) -> dict[str, float]:
     return {name: value for name in CORRECTIONS if (value := getattr(options, name)) is not None}
 
 
-def _given_models(options: LogOptions) -> dict[str, dict[str, Any]]:
-    """The numbers of the noise models that options give, by model."""
+def given_models(options: LogOptions) -> dict[str, dict[str, Any]]:
+    """The numbers of the noise models that options give, by model: all numbers of a whole model."""
     given = {}
     for name in MODELS:
         model, numbers = getattr(options, name), options.of_component(name)
-        given[name] = numbers if model is None else asdict(model.changed(**numbers))
+        if numbers := numbers if model is None else asdict(model.changed(**numbers)):
+            given[name] = numbers
     return given
 
 

@@ -89,9 +89,7 @@ def test_from_log_to_run(invoke: Invoke, log_file: Path) -> None:
 
     # a saved configuration needs the noise file no longer
     Path("noise.toml").unlink()
-    flat = read_config(Path("b/config.toml"))
-    assert flat["range_scale"] == found["range_scale"]
-    assert "noise" not in flat
+    assert read_config(Path("b/config.toml"))["noise"] == Path("b/noise.toml")
     again = invoke("run", "--config", "b/config.toml", "--out", "c", "--json", "-")
     assert json.loads(again.stdout)["estimators"][0]["poses"] == right["poses"]
 
@@ -100,16 +98,22 @@ def test_from_log_to_run(invoke: Invoke, log_file: Path) -> None:
 def test_what_beats_what(invoke: Invoke, log_file: Path) -> None:
     Path("noise.toml").write_text("[motion]\nnn = 0.3\noo = 0.4\n[sensor]\nbearing_std = 0.2\n[ranges]\nscale = 1.1\n")
     Path("c.toml").write_text('log = "log.npz"\nnoise = "noise.toml"\nestimators = ["graph"]\n[motion]\noo = 0.5\n')
-    assert invoke("run", "--config", "c.toml", "--range-bias", 0.05, "--out", "a").exit_code == 0
+    options = ["--range-bias", 0.05, "--out", "a", "--json", "a.json"]
+    assert invoke("run", "--config", "c.toml", *options).exit_code == 0
+    motion, sensor = (json.loads(Path("a.json").read_text())["noise"][name]["model"] for name in ("motion", "sensor"))
+    assert (motion["nn"], motion["oo"], motion["on"]) == (0.3, 0.5, 0.13)
+    assert sensor["bearing_std"] == 0.2
     flat = read_config(Path("a/config.toml"))
-    assert (flat["nn"], flat["oo"], flat["on"]) == (0.3, 0.5, 0.13)
-    assert (flat["bearing_std"], flat["range_scale"], flat["range_bias"]) == (0.2, 1.1, 0.05)
-    # a noise file on the command line beats the models that the configuration has
+    assert (flat["noise"], flat["oo"], flat["range_bias"]) == (Path("a/noise.toml"), 0.5, 0.05)
+    # a noise file on the command line beats the noise that the configuration has, but not the place of the sensor
     Path("other.toml").write_text("[sensor]\nbearing_std = 0.25\n")
-    assert invoke("run", "--config", "a/config.toml", "--noise", "other.toml", "--nn", 0.1, "--out", "b").exit_code == 0
-    flat = read_config(Path("b/config.toml"))
-    assert (flat["bearing_std"], flat["nn"], flat["oo"]) == (0.25, 0.1, 0.2)
-    assert "range_scale" not in flat
+    with Path("a/config.toml").open("a") as file:
+        file.write("[sensor]\noffset = [0.2, 0.1]\n")
+    options = ["--noise", "other.toml", "--nn", 0.1, "--out", "b", "--json", "b.json"]
+    assert invoke("run", "--config", "a/config.toml", *options).exit_code == 0
+    motion, sensor = (json.loads(Path("b.json").read_text())["noise"][name]["model"] for name in ("motion", "sensor"))
+    assert (sensor["bearing_std"], sensor["offset"], motion["nn"], motion["oo"]) == (0.25, [0.2, 0.1], 0.1, 0.2)
+    assert "range_bias" not in read_config(Path("b/config.toml"))
 
 
 @pytest.mark.slow
@@ -400,9 +404,8 @@ def test_a_noise_file_of_the_robot_corrects_misread_ids(tmp_path: Path, misread:
     assert errors[0] < 1.3 * errors[1]
     # the configuration repeats the run
     files = with_file.save(tmp_path / "results", figures=())
-    again = run(
-        log, estimators=["graph"], **{n: v for n, v in read_config(files["config"]).items() if n != "estimators"}
-    )
+    options = {n: v for n, v in read_config(files["config"]).items() if n not in ("log", "estimators")}
+    again = run(log, estimators=["graph"], **options)
     np.testing.assert_array_equal(again["graph"].poses, with_file["graph"].poses)
 
 
@@ -473,10 +476,11 @@ def test_what_is_given_beside_the_estimate_comes_first_and_is_repeated(tmp_path:
     drive = Drive(seed=5, duration=70.0, landmarks=20, parameters={"range_bias": 0.1, "range_scale": 1.0})
     save(log := drive.simulate()[0], tmp_path / "a.npz")
     first, *_, of_first = prepare(without_biases(log, range_bias=0.1), RunOptions.of(noise="auto"))
-    beside, source, options = prepare(tmp_path / "a.npz", RunOptions.of(noise="auto", range_bias=0.1, oo=0.3))
+    given = RunOptions.of(noise="auto", range_bias=0.1, oo=0.3)
+    beside, source, options = prepare(tmp_path / "a.npz", given)
     assert np.array_equal(beside.sightings, first.sightings)
     assert options.calibration.range_bias == 0.1 + of_first.calibration.range_bias
-    (tmp_path / "config.toml").write_text(config_text(source, ("graph",), options))
+    (tmp_path / "config.toml").write_text(config_text(source, ("graph",), given, copies={}))
     values = {n: v for n, v in read_config(tmp_path / "config.toml").items() if n in options_of(RunOptions)}
     again, *_, repeated = prepare(tmp_path / "a.npz", RunOptions.of(**values))
     assert np.array_equal(again.sightings, beside.sightings)

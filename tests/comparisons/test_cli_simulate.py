@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -71,8 +72,12 @@ def test_landmarks_can_be_placed(invoke: Invoke) -> None:
 
 def test_clean_follows_the_models(invoke: Invoke) -> None:
     assert invoke("a.npz", "--clean", "--nn", 0.05, "--range-rate", 0.01, "--seed", 2).exit_code == 0
-    expected = simulate(clean=True, motion=MotionModel(nn=0.05), sensor=SensorModel(range_rate=0.01), seed=2)
-    assert load("a.npz").equals(expected)
+    models: dict[str, Any] = {"motion": MotionModel(nn=0.05), "sensor": SensorModel(range_rate=0.01)}
+    expected = simulate(clean=True, **models, seed=2)
+    # `run` takes the models from the log
+    assert load("a.npz").equals(expected.replace(**models))
+    result = invoke("a.txt", "--sensor-offset", "0.3,0.1", "--no-truth")
+    assert "Next: slam-compare run a.txt --sensor-offset 0.3,0.1" in result.stdout
 
 
 def test_without_truth_the_books_format_will_do(invoke: Invoke) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from typer.testing import Result
 
+from comparisons import run
 from comparisons.estimators.config import config_text, read_config
 from comparisons.options import RunOptions
 from graphslam import FormatError, MotionModel, SensorModel, save, simulate
@@ -34,7 +35,7 @@ def test_a_configuration_survives_being_written(tmp_path: Path) -> None:
         motion=MotionModel(nn=0.3, epsilon=1e-5), sensor=SensorModel(range_rate=1 / 3),
     )  # fmt: skip
     save(simulate(seed=1, steps=3), tmp_path / "x.npz")
-    (tmp_path / "c.toml").write_text(config_text(tmp_path / "x.npz", ("graph",), options))
+    (tmp_path / "c.toml").write_text(config_text(tmp_path / "x.npz", ("graph",), options, copies={}))
     values = read_config(tmp_path / "c.toml")
     assert values.pop("log") == tmp_path / "x.npz"
     assert len(values.pop("log_sha256")) == 64
@@ -61,6 +62,29 @@ def test_a_saved_configuration_repeats_its_run(invoke: Invoke, log_file: Path, t
     assert invoke("run", "--config", folder / "config.toml", "--out", "again").exit_code == 0
     assert without_times(folder / "comparison.json") == without_times(Path("again/comparison.json"))
     assert (folder / "config.toml").read_text() == Path("again/config.toml").read_text()
+
+
+@pytest.mark.slow
+def test_noise_file_and_map_may_change_after_the_run(invoke: Invoke, log_file: Path) -> None:
+    """``--map results/latest/graph-map.npz`` is another map after the run; a noise file does more than its numbers."""
+    assert invoke("run", "log.npz", "--estimators", "graph").exit_code == 0
+    Path("noise.toml").write_text("[motion]\nnn = 0.3\n[ranges]\nscale = 1.1\n")
+    options = ["--map", "results/latest/graph-map.npz", "--noise", "noise.toml", "--no-check-ids", "--oo", 0.3]
+    assert invoke("run", "log.npz", "--estimators", "graph", *options).exit_code == 0
+    first = without_times(Path("results/latest/comparison.json"))
+    Path("noise.toml").unlink()
+    result = invoke("run", "--config", "results/latest/config.toml", "--out", "again")
+    assert result.exit_code == 0, result.output
+    assert without_times(Path("again/comparison.json")) == first
+    assert first["noise"]["motion"]["source"] == "file"
+
+
+def test_a_configuration_of_a_log_in_memory_needs_a_log(invoke: Invoke, log_file: Path) -> None:
+    run(simulate(seed=2, steps=10), estimators=["dead-reckoning"]).save("made", figures=())
+    result = invoke("run", "--config", "made/config.toml", "--out", "o")
+    assert result.exit_code == 2
+    assert "not read from a file" in result.stderr
+    assert invoke("run", "log.npz", "--config", "made/config.toml", "--out", "o").exit_code == 0
 
 
 @pytest.mark.slow
