@@ -203,7 +203,7 @@ def _after_step(log: Log, solver: OnlineSolver, before: Array) -> Frame:
     )  # fmt: skip
 
 
-_LABELS = {CONFIRMED: "its landmark", UNCONFIRMED: "uncertain landmark", CLUTTER: "no landmark"}
+_LABELS = {CONFIRMED: "certain", UNCONFIRMED: "uncertain", CLUTTER: "of no landmark"}
 
 
 def association_film(log: Log, options: RunOptions, animation: AnimationOptions, progress: Callable[[], None]) -> Film:
@@ -232,7 +232,8 @@ def association_film(log: Log, options: RunOptions, animation: AnimationOptions,
         known = set(result.association[before].tolist())
         counts = np.bincount(numbers[before], minlength=len(_LABELS)).tolist()
         frames.append(Frame(
-            number=step, caption=f"step {step}    " + ", ".join(f"{n} {each}" for each, n in zip(_LABELS, counts)),
+            number=step,
+            caption=f"step {step}    sightings: " + ", ".join(f"{n} {each}" for each, n in zip(_LABELS.values(), counts)),
             poses=result.poses[: step + 1], estimated=result.estimated[: step + 1],
             landmarks={j: m for j, m in result.landmarks.items() if j in known},
             landmark_covariances={j: S for j, S in result.landmark_covariances.items() if j in known},
@@ -245,7 +246,7 @@ def association_film(log: Log, options: RunOptions, animation: AnimationOptions,
         scene.add_map("map (3σ)")
         scene.add_path("graph")
         for each, label in _LABELS.items():
-            scene.remember(label, Line2D([], [], color=SIGHTINGS[each]))
+            scene.remember(f"sighting: {label}", Line2D([], [], color=SIGHTINGS[each]))
         colours = ListedColormap([SIGHTINGS[each] for each in _LABELS])
         scene.add_coloured(Normalize(0, len(_LABELS) - 1), colours, linewidths=1.3)
         scene.add_robot()
