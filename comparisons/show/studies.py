@@ -19,7 +19,7 @@ from graphslam.metrics import headings as metric_headings
 
 from ..options import METRICS
 from .canvas import WIDTH, as_text, colour_of, paper_figure, style_of
-from .tables import NOTHING, LeanTable, Tables, number, optimum, seconds, written, yes_no
+from .tables import NOTHING, LeanTable, Tables, ended, number, optimum, seconds, written, yes_no
 
 if TYPE_CHECKING:
     from ..studies.backends import BackendComparison
@@ -53,7 +53,7 @@ def solver_tables(comparison: SolverComparison) -> Tables:
     remarks = [f"DIFFERENT: {problem}." for problem in comparison.problems]
     for reason, names in reasons.items():
         which = names[0] if len(names) == 1 else f"{len(names)} variants ({names[0]}, ...)"
-        remarks.append(f"{which} left out: {reason}.")
+        remarks.append(ended(f"{which} left out: {reason}"))
     if any(variant.cost_per_dof is not None for variant in comparison.variants):
         remarks.append("J per dof (degree of freedom): about 1 means that the noise models fit.")
     return [table], remarks
@@ -92,7 +92,7 @@ def backend_tables(comparison: BackendComparison) -> Tables:
     for entry in comparison.skipped:
         left_out.setdefault((entry.file, entry.reason), []).append(entry.backend)
     for (file, reason), names in left_out.items():
-        remarks.append(f"{Path(file).name}: {' and '.join(names)} left out: {reason}.")
+        remarks.append(ended(f"{Path(file).name}: {' and '.join(names)} left out: {reason}"))
     return [table], remarks
 
 
