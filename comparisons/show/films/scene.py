@@ -378,10 +378,10 @@ class Scene:
         where they are more than a factor of ten apart.
         """
         values = np.where(values > 0, values, np.nan) if log else values
-        known = values[np.isfinite(values)]
+        known = values[np.isfinite(values)].tolist()
         axes = self.strip
         axes.plot(numbers, values, color="0.78", linewidth=1.0)
-        if log and known.size and known.max() > 10 * known.min():
+        if log and canvas.logarithmic_from(known) is not None:
             axes.set_yscale("log")
         axes.set_xlim(numbers[0] - 0.5, numbers[-1] + 0.5)
         axes.xaxis.set_major_locator(MaxNLocator(10, integer=True))
