@@ -138,12 +138,8 @@ def _draw_map(axes: Axes, comparison: Comparison) -> None:
     how = f", aligned to {aligned}" if aligned else ""
     name = f"{len(log.sessions)} logs" if log.sessions else canvas.as_text(log.name)
     # a long name has a line of its own, since the other panel is beside the title
-    between = " " if cell_len(name + how) < 42 else "\n"
-    axes.set(
-        xlabel="x [m]",
-        ylabel="y [m]",
-        title=f"(a) {set_cell_size(name, min(cell_len(name), 52))}:{between}paths and map{how}",
-    )
+    heading = f"(a) {set_cell_size(name, min(cell_len(name), 52))}:" + (" " if cell_len(name + how) < 42 else "\n")
+    axes.set(xlabel="x [m]", ylabel="y [m]", title=f"{heading}paths and map{how}")
 
 
 def _label(result: EstimatorResult) -> str:
