@@ -265,7 +265,7 @@ class Comparison(Displayed):
             whose = both if len(medians) > 1 else "they are too small"
             question = "Do they belong to another robot, or are sightings wrong? Compare with --noise auto"
             if sources == {"estimated"}:
-                question = "Does the robot slip, or are the sightings of several landmarks wrong together?"
+                question = "Perhaps the robot slips, or the sightings of several landmarks are wrong together"
             text = f"the noise models say less noise than this log shows, so that {whose}: {fit}. {question}"
             yield Finding("too little noise", text)
         elif ratio > DOUBTFUL and not misfits:

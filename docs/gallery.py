@@ -44,7 +44,7 @@ def draw(count):
     ax.legend(loc="upper right")
 
 
-slider("iterations", range(7), draw)  # noqa: F821  # given by the site: one figure for each value
+slider("iterations:", range(7), draw)  # noqa: F821  # given by the site: one figure for each value
 
 # %% matrix
 system, _ = solution.graph.linearize(solution.state)

@@ -240,10 +240,14 @@ class Output:
         from rich.live import Live
         from rich.text import Text
 
+        def said(line: str) -> str:
+            """A line in the language; the plan itself has no small letters."""
+            return in_language(printable(line), self.language) if re.search("[a-z]", line) else line
+
         width, height = self._errors.size
         room = min(width, 140) - 1, max(min(height, 50) - 4, 5)
         with Live(console=self._errors, auto_refresh=False) as live:
-            yield lambda lines: live.update(Text("\n".join(map(printable, lines))), refresh=True), room
+            yield lambda lines: live.update(Text("\n".join(map(said, lines))), refresh=True), room
         if not self._errors.is_terminal:
             self._errors.print()
 

@@ -10,7 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from rich.cells import cell_len, set_cell_size
 
+from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import Array, compose, transform
 
 from ..comparison import Comparison
@@ -135,7 +137,9 @@ def _draw_map(axes: Axes, comparison: Comparison) -> None:
     canvas.set_limits(axes, np.concatenate(core), rest)
     how = f", aligned to {aligned}" if aligned else ""
     name = f"{len(log.sessions)} logs" if log.sessions else canvas.as_text(log.name)
-    axes.set(xlabel="x [m]", ylabel="y [m]", title=f"(a) {name}: paths and map{how}")
+    # a long name has a line of its own, since the other panel is beside the title
+    heading = f"(a) {set_cell_size(name, min(cell_len(name), 52))}:" + (" " if cell_len(name + how) < 42 else "\n")
+    axes.set(xlabel="x [m]", ylabel="y [m]", title=f"{heading}paths and map{how}")
 
 
 def _label(result: EstimatorResult) -> str:
@@ -242,7 +246,7 @@ def _draw_plan(axes: Axes, overview: Overview) -> None:
     _draw_segments(axes, path[log.steps[::every], :2], ends)
     axes.plot(*ends.T, ".", label="sighting", color="0.45", markersize=2, zorder=2)
     axes.plot(*line[:, :2].T, label="dead reckoning", **canvas.style_of("dead-reckoning"))
-    core = [line[:, :2], *draw_truth(axes, canvas.true_line(log), log.true_landmarks)]
+    core = [line[:, :2], *draw_truth(axes, canvas.true_line(log), canvas.true_landmarks(log))]
     axes.plot(path[0, 0], path[0, 1], label="start", **canvas.START)
     canvas.set_limits(axes, np.concatenate(core), [ends])
     axes.set(xlabel="x [m]", ylabel="y [m]", title="(a) dead reckoning and sightings")
@@ -253,8 +257,9 @@ def _draw_times(axes: Axes, overview: Overview) -> None:
     ids, row = np.unique(log.landmarks, return_inverse=True)
     times = overview.times[log.steps]
     axes.plot(times, row, "|", color=canvas.colour_of("gtsam"), markersize=4, rasterized=len(row) > 5000)
-    if len(ids) <= 12:
-        axes.set_yticks(range(len(ids)), [str(id) if id >= -(2**62) else "?" for id in ids.tolist()])
+    # of many landmarks some are named
+    named = range(0, len(ids), max(1, -(-len(ids) // 12)))
+    axes.set_yticks(named, ["?" if ids[k] == UNIDENTIFIED else str(ids[k]) for k in named])
     axes.set(xlabel=time_axis(log), ylabel="landmark", title="(b) when each is seen")
 
 
@@ -270,7 +275,12 @@ def evaluation_figure(evaluation: Evaluation) -> Figure:
         core = draw_truth(left, evaluation.truth.poses, evaluation.true_map)
         handles, medians = list(left.lines), []
         for k, each in enumerate(evaluation.estimates):
-            style = {"color": f"C{k % 10}", "linewidth": 1.0}
+            # ten colours, and another dash for each further ten
+            style: dict[str, Any] = {
+                "color": f"C{k % 10}",
+                "linewidth": 1.0,
+                "linestyle": ("-", "--", ":", "-.")[k // 10 % 4],
+            }
             handles += left.plot(*each.aligned[:, :2].T, label=canvas.as_text(each.name), **style)
             if each.aligned_map:
                 left.plot(*np.array(list(each.aligned_map.values())).T, "x", color=style["color"], markersize=4)
@@ -282,5 +292,7 @@ def evaluation_figure(evaluation: Evaluation) -> Figure:
         right.set(xlabel="time [s]", ylabel="position error [m]", title="(b) position error of every pose")
         # by their names, because matplotlib itself leaves out those that begin with an underscore
         names = [str(handle.get_label()) for handle in handles]
-        figure.legend(handles, names, loc="outside lower center", ncols=4)
+        # about as many columns as there is room for
+        columns = min(max(140 // (10 + max(map(cell_len, names))), 1), 4)
+        figure.legend(handles, names, loc="outside lower center", ncols=columns)
     return figure

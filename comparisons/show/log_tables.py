@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,10 +24,11 @@ from graphslam.se2 import Array
 from ..estimators import bounds_of, online_steps
 from ..options import NoiseOptions, RunOptions, options_of
 from .canvas import between_poses, limits_of
-from .tables import NOTHING, LeanTable, Tables, number, written, yes_no
+from .tables import NOTHING, LeanTable, Tables, ended, number, written, yes_no
 
 if TYPE_CHECKING:
     from graphslam.calibration import Calibration
+    from graphslam.log_checks import Finding
 
     from ..datasets import Survey
     from ..evaluation import Evaluation
@@ -130,8 +131,12 @@ def import_tables(found: Import) -> Tables:
     sizes = singular(f"The log has {log.num_poses} poses and {log.seen}")
     known = f"; the true map has {found.landmarks} landmarks" if found.landmarks is not None else ""
     columns = [f"Columns of {stream.kind}: {', '.join(stream.columns)}." for stream in found.streams]
-    warnings = [f"WARNING: {finding.message}." for finding in found.findings]
-    return [*tables, table], [*columns, f"{sizes}{known}.", *(f"{note}." for note in log.notes), *warnings]
+    return [*tables, table], [*columns, f"{sizes}{known}.", *_doubts(log, found.findings)]
+
+
+def _doubts(log: Log, findings: Sequence[Finding]) -> list[str]:
+    """The notes of a log, and what is probably wrong with it."""
+    return [*map(ended, log.notes), *(ended(f"WARNING: {finding.message}") for finding in findings)]
 
 
 #: landmarks that are listed
@@ -168,8 +173,7 @@ def overview_tables(overview: Overview) -> Tables:
     remarks += ["", "ranges", *bars(overview.ranges.edges, overview.ranges.counts, "m")]
     remarks += ["", "bearings", *bars(overview.bearings.edges, overview.bearings.counts, "rad")]
     remarks += ["", *plan(between_poses(log, None).through(overview.path)[:, :2], overview.seen_at), ""]
-    remarks += [f"{note}." for note in log.notes]
-    remarks += [f"WARNING: {finding.message}." for finding in overview.findings]
+    remarks += _doubts(log, overview.findings)
     checked = "Nothing is suspicious: units, signs, axes, clocks and ids were checked."
     if not overview.compared:
         checked = (
@@ -209,7 +213,7 @@ def evaluation_tables(evaluation: Evaluation) -> Tables:
         remarks.append(
             f"map: error of landmarks {how}; missed, false: without a partner within {evaluation.options.cutoff:g} m."
         )
-    return [table], [*remarks, *(f"{note}." for note in evaluation.notes)]
+    return [table], [*remarks, *map(ended, evaluation.notes)]
 
 
 def survey_tables(survey: Survey) -> Tables:
@@ -253,6 +257,6 @@ def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
         f"From {counts}. Measured range = range_scale * range + range_bias, recorded speed = wheel_scale * speed, recorded "
         'turn rate = turn_scale * turn rate + turn_rate_bias + curvature_bias * speed. "<": near zero, with the upper '
         f'95 % bound; "not identifiable": the log gives no bound; "{NOTHING}": not estimated.',
-        *(f"{note}." for note in calibration.notes),
-        *(f"Not recommended: {doubt}." for doubt in calibration.doubts),
+        *map(ended, calibration.notes),
+        *(ended(f"Not recommended: {doubt}") for doubt in calibration.doubts),
     ]

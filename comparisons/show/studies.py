@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,8 +18,8 @@ from graphslam import OptionError
 from graphslam.metrics import headings as metric_headings
 
 from ..options import METRICS
-from .canvas import WIDTH, as_text, colour_of, paper_figure, style_of
-from .tables import NOTHING, LeanTable, Tables, number, optimum, seconds, written, yes_no
+from .canvas import WIDTH, as_text, colour_of, logarithmic_from, paper_figure, style_of
+from .tables import NOTHING, LeanTable, Tables, ended, number, optimum, seconds, written, yes_no
 
 if TYPE_CHECKING:
     from ..studies.backends import BackendComparison
@@ -53,7 +53,7 @@ def solver_tables(comparison: SolverComparison) -> Tables:
     remarks = [f"DIFFERENT: {problem}." for problem in comparison.problems]
     for reason, names in reasons.items():
         which = names[0] if len(names) == 1 else f"{len(names)} variants ({names[0]}, ...)"
-        remarks.append(f"{which} left out: {reason}.")
+        remarks.append(ended(f"{which} left out: {reason}"))
     if any(variant.cost_per_dof is not None for variant in comparison.variants):
         remarks.append("J per dof (degree of freedom): about 1 means that the noise models fit.")
     return [table], remarks
@@ -92,7 +92,7 @@ def backend_tables(comparison: BackendComparison) -> Tables:
     for entry in comparison.skipped:
         left_out.setdefault((entry.file, entry.reason), []).append(entry.backend)
     for (file, reason), names in left_out.items():
-        remarks.append(f"{Path(file).name}: {' and '.join(names)} left out: {reason}.")
+        remarks.append(ended(f"{Path(file).name}: {' and '.join(names)} left out: {reason}"))
     return [table], remarks
 
 
@@ -306,21 +306,15 @@ def study_figure(summary: Summary, metric: str = "ate_m") -> Figure:
             left.set_title(as_text(log))
             left.set_yticks(range(len(names)), [as_text(name) for name in names])
             left.set_ylim(len(names) - 0.5, -0.5)
-        everything = [line.figures[metric] for line in summary.methods if line.log in logs]
-        if _decades(everything) > 1:
+        shown = [m for line in summary.methods if line.log in logs and (m := line.figures[metric]) is not None]
+        positive = all((m.median if m.low is None else m.low) > 0 for m in shown)
+        if positive and logarithmic_from([m.median for m in shown]) is not None:
             # columns share their axis
             panels[-1, 0].set_xscale("log")
         panels[-1, 0].set_xlabel(METRICS[metric])
         baseline = as_text(str(summary.baseline))
         panels[-1, 1].set_xlabel(f"difference from {baseline},\nsame random seeds: {METRICS[metric]}")
     return figure
-
-
-def _decades(medians: Collection[Median | None]) -> float:
-    """The number of decades between the smallest and the largest median; 0 where a logarithmic axis cannot show one."""
-    values = [m.median for m in medians if m is not None]
-    ends = [end for m in medians if m is not None for end in (m.low, m.high) if end is not None]
-    return float(np.log10(max(values) / min(values))) if values and min([*values, *ends]) > 0 else 0.0
 
 
 def _draw_medians(axes: Axes, names: list[str], medians: Mapping[str, Median | None]) -> None:

@@ -185,6 +185,11 @@ def written(value: Any, form: str = "") -> str:
     return NOTHING if value is None else format(value, form)
 
 
+def ended(sentence: str) -> str:
+    """A sentence with its full stop; a question has its own mark."""
+    return sentence if sentence.endswith("?") else f"{sentence}."
+
+
 def seconds(value: float | None) -> str:
     """A time with the unit that suits it."""
     if value is None or value != value:
@@ -309,7 +314,7 @@ def result_tables(results: ResultTable) -> Tables:
         of_ids = _scores(row.association) * scored
         name = f"{row.name} ({row.knows})" if row.knows else row.name
         table.add_row(name, *cells, *values, *[number(row.nees, 2)] * known, *off, *of_ids)
-    return [table], [f"{row.name} has no result: {row.skipped}." for row in results if row.skipped is not None]
+    return [table], [ended(f"{row.name} has no result: {row.skipped}") for row in results if row.skipped is not None]
 
 
 def _risk(risk: np.ndarray | None) -> str:
@@ -338,7 +343,7 @@ def comparison_tables(comparison: Comparison, *, brief: bool = False) -> Tables:
     """
     log, remarks = comparison.log, _noise_remarks(comparison)
     warnings = [finding.message for finding in comparison.findings]
-    remarks += [f"WARNING: {message}." for message in warnings]
+    remarks += [ended(f"WARNING: {message}") for message in warnings]
     if any(value is not None for value in comparison.nees.values()):
         remarks.append("NEES: 1 means consistent covariances, above 1 overconfident ones.")
     if any(result.integrity_risk is not None for result in comparison.results):
@@ -366,15 +371,15 @@ def comparison_tables(comparison: Comparison, *, brief: bool = False) -> Tables:
     if log.true_poses is not None and (where := log.truth_place):
         remarks.append(f"Errors are measured at the point that the ground truth is of, {where} of the robot's pose.")
     remarks += _exchanged(comparison)
-    remarks += [f"{entry.name} {entry.outcome}: {entry.reason}." for entry in comparison.skipped]
-    remarks += [f"{r.name} did not converge: {r.reason}." for r in comparison.results if r.converged is False]
+    remarks += [ended(f"{entry.name} {entry.outcome}: {entry.reason}") for entry in comparison.skipped]
+    remarks += [ended(f"{r.name} did not converge: {r.reason}") for r in comparison.results if r.converged is False]
     notes: dict[str, list[str]] = {note: [log.name] for note in log.notes if not log.sessions}
     # those of several logs begin with the name of theirs
     of_single = tuple(f"{session.name}: " for session in log.sessions)
     single = [note for note in log.notes if note.startswith(of_single)]
     hidden = brief and len(single) > BRIEF
     of_all = [f"{note[0].upper()}{note[1:]}" for note in log.notes if log.sessions and note not in single]
-    remarks += [f"{note}." for note in (*(() if hidden else single), *of_all)]
+    remarks += [ended(note) for note in (*(() if hidden else single), *of_all)]
     if hidden:
         remarks.append(
             f"{len(single)} notes about reading, noise and ids of single logs are in the JSON (log.notes) and in the report."
@@ -384,7 +389,7 @@ def comparison_tables(comparison: Comparison, *, brief: bool = False) -> Tables:
             # solutions repeat what is wrong with their log, for those who have nothing else
             if note not in warnings:
                 notes.setdefault(note, []).append(result.name)
-    remarks += [f"{', '.join(names)}: {note}." for note, names in notes.items()]
+    remarks += [ended(f"{', '.join(names)}: {note}") for note, names in notes.items()]
     tables, _ = result_tables(comparison.table)
     return [*tables, *session_table(comparison), *state_table(comparison)], remarks
 

@@ -24,7 +24,8 @@ from comparisons.options.declaration import options_of
 from comparisons.show.figures import ellipses
 from comparisons.show.films import Film, animate
 from comparisons.show.films.graphs import Residuals
-from comparisons.show.films.scene import Scene, kept
+from comparisons.show.films.scene import SIZE, Scene, kept
+from comparisons.show.language import translated
 from fastslam import ParticleGibbs
 from graphslam import (
     AbsolutePositions,
@@ -367,6 +368,24 @@ def _legend(film: Film) -> Legend:
     figure = Figure()
     Scene(figure, film)
     return figure.legends[0]
+
+
+def test_the_caption_of_an_association_has_the_words_of_its_legend(log: Log) -> None:
+    film = animate(log, estimator="association", max_frames=2)
+    assert re.fullmatch(
+        r"step 12    sightings: \d+ certain, \d+ uncertain, \d+ of no landmark", film.frames[-1].caption
+    )
+    texts = [text.get_text() for text in _legend(film).get_texts()]
+    assert texts[-3:] == ["sighting: certain", "sighting: uncertain", "sighting: of no landmark"]
+    assert translated(film.frames[-1].caption, "ja").startswith("時刻12　センサ値: 確定")
+
+
+def test_a_curve_within_a_factor_of_ten_has_room_for_its_name(log: Log) -> None:
+    film = animate(log, estimator="isam2", max_frames=4)
+    figure = Figure(SIZE)
+    scene = Scene(figure, film)
+    figure.draw_without_rendering()
+    assert scene.strip.yaxis.label.get_window_extent().x0 >= 0
 
 
 def test_the_film_knows_its_log(log: Log, tmp_path: Path) -> None:

@@ -199,7 +199,7 @@ def test_no_template_is_stale() -> None:
         for template in (t for name, group in groups.items() if name not in ("typer", "system") for t in group):
             pieces = (p.strip(" .,:;()") for p in re.split(r"\{[#=]?\}|[.;:,] |[()]", spaces.sub(" ", template)))
             stale += [(template, p) for p in pieces if len(p) > 2 and p.lower() not in source and p not in PUT_TOGETHER]
-    assert stale == []
+    assert not stale, "\n".join(map(str, stale))
 
 
 def test_no_template_is_there_twice() -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 from importlib import import_module
 from itertools import combinations
 from pathlib import Path
@@ -13,8 +14,9 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from comparisons import run
+from comparisons import evaluate, run
 from comparisons.comparison import Comparison
+from comparisons.importing import inspect_log
 from comparisons.results import Displayed, EstimatorResult
 from comparisons.show.canvas import (
     BACKENDS,
@@ -60,8 +62,9 @@ def texts(figure: Figure) -> list[object]:
     return [t for t in found if t.get_text() and t.get_visible()]
 
 
-def test_no_text_overlaps_or_leaves_the_page(comparison: Comparison) -> None:
-    figure = comparison_figure(comparison)
+@pytest.mark.parametrize("name", ["sample", "a drive through the park on a rainy morning in May, the second one"])
+def test_no_text_overlaps_or_leaves_the_page(comparison: Comparison, name: str) -> None:
+    figure = comparison_figure(replace(comparison, log=comparison.log.replace(name=name)))
     figure.draw_without_rendering()
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     width, height = figure.bbox.size
@@ -81,6 +84,26 @@ def test_no_text_overlaps_or_leaves_the_page(comparison: Comparison) -> None:
         boxes.append((text.get_text(), box))  # type: ignore[attr-defined]
     overlapping = [(a, b) for (a, one), (b, other) in combinations(boxes, 2) if one.overlaps(other)]
     assert overlapping == []
+
+
+def test_landmarks_of_a_log_are_named_by_their_ids(log: Log) -> None:
+    ids = np.arange(len(log.landmarks)) + 100
+    axes = inspect_log(log.replace(landmarks=ids, true_landmarks=None)).figure().axes[1]
+    assert [(text.get_position()[1] + 100, text.get_text()) for text in axes.get_yticklabels()] == [
+        (id, str(id)) for id in ids[:: -(-len(ids) // 12)].tolist()
+    ]
+
+
+def test_the_legend_of_many_long_names_is_within_the_page(log: Log, tmp_path: Path) -> None:
+    truth = np.column_stack([np.arange(log.num_poses), log.true_poses])
+    files = [tmp_path / f"estimate_with_a_long_name_{k}.csv" for k in range(11)]
+    for file in files:
+        np.savetxt(file, truth, delimiter=",", header="t,x,y,theta", comments="")
+    figure = evaluate(files[0], *files).figure()
+    figure.draw_without_rendering()
+    box = figure.legends[0].get_window_extent()
+    assert 0 <= box.x0 < box.x1 <= figure.bbox.width
+    assert len({(line.get_color(), line.get_linestyle()) for line in figure.axes[1].lines}) == len(files)
 
 
 def test_the_map_has_equal_axes_and_shows_everything(comparison: Comparison, log: Log) -> None:

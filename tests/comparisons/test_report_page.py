@@ -247,12 +247,14 @@ def test_hover_shows_no_zero_for_unknown_values(browser: Chromium, comparison: C
     assert browser.complaints() == []
 
 
-@pytest.mark.parametrize("width", [1280, 800])
+@pytest.mark.parametrize("width", [1280, 800, 400])
 def test_nothing_sticks_out_or_overlaps(opened: Chromium, width: int) -> None:
     opened.resize(width, 900)
     draw_all(opened)
     assert opened.evaluate("document.documentElement.scrollWidth") <= width
-    assert opened.evaluate("[...document.querySelectorAll('.wide')].every((e) => e.scrollWidth <= e.clientWidth)")
+    # tables and pairs of panels scroll on a phone
+    inside = "[...document.querySelectorAll('.wide')].every((e) => e.scrollWidth <= e.clientWidth)"
+    assert width == 400 or opened.evaluate(inside)
     # the words of each figure: ticks, titles, legend
     overlapping = opened.evaluate("""(() => {
         const found = [];

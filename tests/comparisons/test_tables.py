@@ -250,6 +250,13 @@ def test_remarks(log: Log) -> None:
     ]
 
 
+def test_a_question_has_no_full_stop(log: Log) -> None:
+    asked = "the ids were not checked; is it the noise of this robot?"
+    _, remarks = tables_of(run(log.replace(notes=(asked, "a note")), estimators=["graph"]))
+    assert f"simulated: {asked}" in remarks
+    assert "simulated: a note." in remarks
+
+
 def test_a_warning_that_solutions_repeat_is_shown_once(log: Log) -> None:
     doubt = "all sightings are of one landmark"
     doubted = log.replace(doubts=(("one landmark", doubt),))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
-from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from graphslam.edges import AnchorEdges, EdgeFamily, MarginalEdges, PositionEdge
 from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import Array, wrap
 from graphslam.solvers.initialize import starting_state
-from graphslam.solvers.iteration import METHODS, Iteration
+from graphslam.solvers.iteration import Iteration
 
 from ...estimators import ESTIMATORS, isam2_options, make_graph, online_keywords
 from ...estimators.filters import identified
@@ -30,20 +30,13 @@ from .scene import Film, Frame, Scene, kept
 #: of a family with more edges some are drawn, evenly spread: more lines would only fill the picture
 MOST_EDGES = 4000
 COLORS = LinearSegmentedColormap.from_list("residuals", RESIDUALS)
-#: the starts that are tried, and how a note names them
-_STARTS = {
-    "given": "",
-    "virtual-motion": "where virtual-motion edges put the poses",
-    "rotation-first": "from the headings",
-    "grow": "where growing the graph puts the poses",
-}
 
 
 def graph_film(log: Log, options: RunOptions, animation: AnimationOptions, progress: Callable[[], None]) -> Film:
     """The film of `graphslam.solve` on the log's graph, its edges coloured by their Mahalanobis distances.
 
-    With ``initialize="auto"`` it starts from dead reckoning, unless the solver reaches a lower minimum from another start;
-    then it starts there, and a note names both costs.
+    With ``initialize="auto"`` it starts from dead reckoning. Where the solver reaches a lower minimum from another start, the
+    iterations from there follow, and a note names both costs.
 
     Raises:
         GraphError: the log does not determine the graph.
@@ -90,11 +83,12 @@ class _Run(NamedTuple):
     solution: Solution
 
 
-def _run(graph: Graph, start: str, method: str = "gauss-newton", max_iterations: int = 100) -> _Run:
-    state = starting_state(graph, start)
+def _run(graph: Graph, start: str, max_iterations: int = 100) -> _Run:
+    """The iterations of `solve`; with "auto", which starts from states of its own, the first state is dead reckoning."""
+    state = graph.initial if start == "auto" else starting_state(graph, start)
     steps: list[Iteration] = []
-    rules: dict[str, Any] = {"method": method, "max_iterations": max_iterations, "callback": steps.append}
-    solution = solve(graph.with_initial(state), initialize="given", **rules)
+    rules: dict[str, Any] = {"initialize": start, "max_iterations": max_iterations, "callback": steps.append}
+    solution = solve(graph, **rules)
     # a run that diverged ends at its last finite state
     finite = [step for step in steps if np.isfinite(step.state).all()]
     return _Run(start, (state, *(step.state for step in finite)), tuple(step.step_norm for step in finite), solution)
@@ -102,27 +96,18 @@ def _run(graph: Graph, start: str, method: str = "gauss-newton", max_iterations:
 
 def _chosen(graph: Graph, initialize: str) -> tuple[_Run, tuple[str, ...]]:
     """The run to be shown, and what there is to say about its start."""
+    run = _run(graph, initialize)
     if initialize != "auto":
-        return _run(graph, initialize), ()
-    best = solve(graph, initialize="auto")
-    # a run that takes much longer than the best one ends elsewhere
-    limit = max(3 * best.iterations, 30)
-    runs: list[_Run] = []
-    # undamped first: damped steps from far away are many, and rarely end where the others do
-    for method, start in product(METHODS, _STARTS):
-        try:
-            runs.append(_run(graph, start, method, limit))
-        except GraphError:
-            continue  # these edges do not allow that start
-        if runs[-1].solution.cost <= best.cost * (1 + 1e-6):
-            break
-    else:
-        runs = runs[:1]
-    run, other = runs[-1], runs[0].solution
-    if run.start == "given":
         return run, ()
-    worse = f"from dead reckoning J is {other.cost:.6g} after {other.iterations} iterations, not {best.cost:.6g}"
-    return run, (f"{worse}: the animation starts {_STARTS[run.start]}",)
+    best, worse = run.solution, "dead reckoning does not determine the graph"
+    with suppress(GraphError):
+        # a run that takes much longer than the best one ends elsewhere
+        plain = _run(graph, "given", max(3 * best.iterations, 30))
+        if plain.solution.cost <= best.cost * (1 + 1e-6):
+            return plain, ()
+        end = plain.solution
+        worse = f"from dead reckoning J is {end.cost:.6g} after {end.iterations} iterations, not {best.cost:.6g}"
+    return run, (f"{worse}: after the first picture the animation shows the iterations from another start",)
 
 
 def _after_iteration(graph: Graph, residuals: Residuals, run: _Run, number: int, cost: float) -> Frame:
@@ -132,7 +117,7 @@ def _after_iteration(graph: Graph, residuals: Residuals, run: _Run, number: int,
     of_path = graph.map_from(poses)
     nodes = state[len(graph.steps) :, : graph.landmark_dimension]
     lines, distances = residuals(state)
-    caption = f"iteration {number}" if number else "start" if run.start == "given" else f"start ({run.start})"
+    caption = f"iteration {number}" if number else "start" if run.start in ("given", "auto") else f"start ({run.start})"
     norm = f"    |Δ| = {run.step_norms[number - 1]:.1e}" if number else ""
     return Frame(
         number=number, caption=f"{caption}    J = {cost:,.6g}{norm}", poses=poses, estimated=estimated,
@@ -203,7 +188,7 @@ def _after_step(log: Log, solver: OnlineSolver, before: Array) -> Frame:
     )  # fmt: skip
 
 
-_LABELS = {CONFIRMED: "its landmark", UNCONFIRMED: "uncertain landmark", CLUTTER: "no landmark"}
+_LABELS = {CONFIRMED: "certain", UNCONFIRMED: "uncertain", CLUTTER: "of no landmark"}
 
 
 def association_film(log: Log, options: RunOptions, animation: AnimationOptions, progress: Callable[[], None]) -> Film:
@@ -232,7 +217,8 @@ def association_film(log: Log, options: RunOptions, animation: AnimationOptions,
         known = set(result.association[before].tolist())
         counts = np.bincount(numbers[before], minlength=len(_LABELS)).tolist()
         frames.append(Frame(
-            number=step, caption=f"step {step}    " + ", ".join(f"{n} {each}" for each, n in zip(_LABELS, counts)),
+            number=step,
+            caption=f"step {step}    sightings: " + ", ".join(f"{n} {each}" for each, n in zip(_LABELS.values(), counts)),
             poses=result.poses[: step + 1], estimated=result.estimated[: step + 1],
             landmarks={j: m for j, m in result.landmarks.items() if j in known},
             landmark_covariances={j: S for j, S in result.landmark_covariances.items() if j in known},
@@ -245,7 +231,7 @@ def association_film(log: Log, options: RunOptions, animation: AnimationOptions,
         scene.add_map("map (3σ)")
         scene.add_path("graph")
         for each, label in _LABELS.items():
-            scene.remember(label, Line2D([], [], color=SIGHTINGS[each]))
+            scene.remember(f"sighting: {label}", Line2D([], [], color=SIGHTINGS[each]))
         colours = ListedColormap([SIGHTINGS[each] for each in _LABELS])
         scene.add_coloured(Normalize(0, len(_LABELS) - 1), colours, linewidths=1.3)
         scene.add_robot()

@@ -374,12 +374,14 @@ class Scene:
     def add_curve(self, numbers: np.ndarray, values: Array, xlabel: str, ylabel: str, *, log: bool = False) -> None:
         """A curve (F,) over the numbers (F,) in the lower panel: pale as a whole, dark up to the current frame.
 
-        Values that are not finite leave gaps; on a logarithmic axis so do those that are not positive.
+        Values that are not finite leave gaps. With ``log`` those that are not positive do, too, and the axis is logarithmic
+        where they are more than a factor of ten apart.
         """
         values = np.where(values > 0, values, np.nan) if log else values
+        known = values[np.isfinite(values)].tolist()
         axes = self.strip
         axes.plot(numbers, values, color="0.78", linewidth=1.0)
-        if log and np.isfinite(values).any():
+        if log and canvas.logarithmic_from(known) is not None:
             axes.set_yscale("log")
         axes.set_xlim(numbers[0] - 0.5, numbers[-1] + 0.5)
         axes.xaxis.set_major_locator(MaxNLocator(10, integer=True))
