@@ -47,7 +47,7 @@ from ..identification.known import known_robot
 from ..log import UNIDENTIFIED, Log
 from ..log.cells import MOVED_BETWEEN, Doubt
 from ..log.continuous_time import CLOCK, nearest_of, with_poses_at
-from ..log.geometry import datum_note, datum_of, on_plane_of
+from ..log.geometry import with_datum
 from ..log.join import end_to_end, joined_rows
 from ..log.measurements import PartialSightings, PoseRelations, length_of
 from ..log.rows import robot_class
@@ -121,7 +121,9 @@ def join_logs(logs: Sequence[Log], *, mean_noise: bool = False, placed: bool = F
         logs = with_common_noise(logs, [None if each is None else each.inflation for each in estimates])
     for each in logs:
         _check(each, logs[0])
-    logs = _on_one_plane(logs)
+    datums = [each.positions.datum for each in logs if each.positions is not None]
+    datum = next((each for each in datums if each is not None), None)
+    logs = [with_datum(each, datum, "the first fix of an earlier log") for each in logs]
     if len(logs) > 1 and not all(each.identified for each in logs):
         joined, starts = joined_without_ids(logs)
         return Sessions(joined, (*starts, joined.num_poses))
@@ -256,20 +258,6 @@ def _check(log: Log, first: Log) -> None:
             differ = f"{log.name} and {first.name} differ in {name}: {getattr(log, name)} and {getattr(first, name)}"
             means = ", or join_logs(logs, mean_noise=True) takes the means" if name != "truth_offset" else ""
             raise LogError(f"{differ}. One graph has one; make them the same with Log.replace({name}=...){means}")
-
-
-def _on_one_plane(logs: Sequence[Log]) -> list[Log]:
-    """The logs with positions east and north of one datum, the first one, in place of the first fix of each log."""
-    datum, moved = None, list(logs)
-    for k, log in enumerate(logs):
-        if log.positions is None or (own := datum_of(log.notes)) is None:
-            continue
-        datum = own if datum is None else datum
-        if not np.array_equal(own, datum):
-            positions = replace(log.positions, places=on_plane_of(datum, log.positions.places, own))
-            others = (note for note in log.notes if datum_of([note]) is None)
-            moved[k] = log.replace(positions=positions, notes=(*others, f"its {datum_note(datum, 'an earlier log')}"))
-    return moved
 
 
 def _placed(log: Log, before: Log, known: LandmarkMap, models: dict[str, Any]) -> Log:

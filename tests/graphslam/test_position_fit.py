@@ -21,6 +21,7 @@ from graphslam import (
     solve,
 )
 from graphslam.edges import SightingEdges
+from graphslam.log.geometry import datum_note, on_plane_of
 from graphslam.metrics import ate
 from graphslam.se2 import between, difference, mounted, turned_by
 from graphslam.solvers.uncertainty import Uncertainty
@@ -79,6 +80,29 @@ def test_positions_in_another_frame_than_the_map(seed, shift):
         words = note.split()
         assert (float(words[3]), float(words[8])) == pytest.approx(shift, abs=0.5)
         assert translated(note, "ja") != note
+
+
+def test_positions_of_another_first_fix_than_that_of_the_map() -> None:
+    """They were left where they were, 2 m off: poses were off by up to 0.22 m, and a note doubted the positions."""
+    world = {"landmarks": np.random.default_rng(1).uniform(-7, 7, (14, 2)), "max_range": 8.0, "steps": 60}
+    here, there = np.array([48.1, 11.7, 500.0]), np.array([48.10002, 11.70001, 503.0])
+    logs = []
+    for seed, datum in ((1, here), (51, there)):
+        log = simulate(seed=seed, clean=True, orientation=False, **world, **ROBOT).replace(**ROBOT)
+        steps = np.arange(0, log.num_poses, 2)
+        places = on_plane_of(datum, log.true_poses[steps, :2], here) + np.random.default_rng(seed).normal(
+            0, 0.1, (31, 2)
+        )
+        measured = AbsolutePositions(steps=steps, places=places, covariances=0.01 * np.eye(2), datums=datum)
+        logs.append(log.replace(positions=measured))
+    known = solve(Graph.from_log(logs[0], edges="landmark+motion")).map
+    assert known.datum == pytest.approx(here) and known.among(list(known)[:3]).widened(0.1).datum == pytest.approx(here)
+    solution = solve(Graph.from_log(logs[1], map=known, kernel="cauchy"))
+    assert solution.datum == pytest.approx(here)
+    off = solution.poses[:, :2] - logs[1].true_poses[:, :2]
+    assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.1
+    notes = [note for note in (*solution.graph.log.notes, *solution.notes) if "positions" in note]
+    assert notes == [datum_note(here, "the datum of the map")] and translated(notes[0], "ja") != notes[0]
 
 
 @pytest.mark.parametrize(("sigma", "said"), [(0.3, 0.06), (0.1, 0.5)])

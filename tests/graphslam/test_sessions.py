@@ -29,7 +29,7 @@ from graphslam import (
 from graphslam.association import score
 from graphslam.association.map_states import session_states
 from graphslam.log import UNIDENTIFIED
-from graphslam.log.geometry import datum_note, datum_of, on_plane_of
+from graphslam.log.geometry import on_plane_of
 from graphslam.log.measurements import PartialSightings
 from graphslam.metrics import ate
 from graphslam.se2 import between
@@ -140,20 +140,21 @@ def test_ranges_alone_are_not_given_as_from_another_place_of_the_sensor(number: 
 
 def test_positions_of_joined_logs_have_one_datum() -> None:
     """The first fix of each log was the origin of its own plane, and poses were off by as much as these are apart."""
-    data = np.array([[48.1234567, 11.7654321], [48.1301, 11.7711]])
+    data = np.array([[48.1234567, 11.7654321, 510.0], [48.1301, 11.7711, 512.0]])
     logs = []
     for part, datum in zip(cut(drive(), 2), data):
         assert part.true_poses is not None
         places = on_plane_of(datum, part.true_poses[::5, :2], data[0])
         assert np.allclose(on_plane_of(data[0], places, datum), part.true_poses[::5, :2], atol=1e-3)
         positions = AbsolutePositions(
-            steps=np.arange(0, part.num_poses, 5), places=places, covariances=0.01 * np.eye(2)
+            steps=np.arange(0, part.num_poses, 5), places=places, covariances=0.01 * np.eye(2), datums=datum
         )
-        logs.append(part.replace(positions=positions, notes=(datum_note(datum, "gps.csv"),)))
+        logs.append(part.replace(positions=positions))
     joined = join_logs(logs).log
     errors = solve(graph(joined)).poses - joined.true_poses
     assert np.hypot(errors[:, 0], errors[:, 1]).max() < 0.3
-    assert np.array_equal(datum_of(joined.notes), data[0]) and sum("48.1301" in note for note in joined.notes) == 0
+    assert joined.positions is not None and np.array_equal(np.unique(joined.positions.datums, axis=0), data[:1])
+    assert sum("48.1234567" in note for note in joined.notes) == 1
 
 
 def test_measurements_of_a_later_log_keep_their_poses() -> None:
