@@ -32,7 +32,6 @@ from . import contradictions
 from .certificate import Certificate, prove
 from .iteration import Run
 from .joint import motion_edges
-from .map_errors import in_wider_map, said_of_wider
 from .position_errors import doubt_of_frame, doubt_of_positions, with_lasting_errors
 from .scan_errors import errors_of_scans
 from .uncertainty import Uncertainty, doubts, ids_of, shaped
@@ -453,26 +452,15 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
     graph, notes = solution.graph, []
     if graph is None or not solution.converged:
         return solution
-    in_map = again if graph.reweighted else None
-    if in_map is not None:
-        solution, of_moved = contradictions.without_moved(solution, in_map)
+    # positions of another frame make the map look wrong, and their errors as if they lasted
+    if not (of_frame := doubt_of_frame(graph, solution.state)):
+        solution, of_map = contradictions.in_doubted_map(solution, again if graph.reweighted else None)
         graph = solution.graph or graph
-        notes += [of_moved] * bool(of_moved)
-    found, deviation, sure = contradictions.doubt_of_map(graph, solution.state, suspected=in_map is not None)
-    wider = in_wider_map(solution, deviation, in_map) if deviation and in_map is not None else None
-    if wider is None and not sure:
-        found, *_ = contradictions.doubt_of_map(graph, solution.state, suspected=False)
-    if found:
-        if wider is not None:
-            solution, deviation = wider
-            found = found.replace(contradictions.TAKEN_FOR_RIGHT, said_of_wider(deviation))
-            graph = solution.graph or graph
-        notes.append(found)
+        notes += of_map
     solution, of_odometry = contradictions.without_slips_of(solution, again)
     graph = solution.graph or graph
     solution, lasting = with_lasting_errors(solution, again)
     graph = solution.graph or graph
-    of_frame = doubt_of_frame(graph, solution.state)
     of_positions = of_frame or doubt_of_positions(graph, solution.state, lasting=bool(lasting))
     common, of_scans = errors_of_scans(graph, solution.state)
     of_relations = contradictions.doubt_of_relations(graph, solution.state)

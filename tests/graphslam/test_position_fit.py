@@ -12,6 +12,7 @@ from graphslam import (
     AbsolutePositions,
     Drive,
     Graph,
+    LandmarkMap,
     MotionModel,
     PoseRelations,
     SensorModel,
@@ -61,10 +62,12 @@ def test_a_lever_that_nobody_has_stated(seed, kernel):
     assert (ahead, left) == pytest.approx((0.8, -0.4), abs=0.15)
 
 
-@pytest.mark.parametrize("shift", [(0.0, 0.0), (80.0, 60.0)])
+@pytest.mark.parametrize(
+    ("shift", "off"), [((0.0, 0.0), 0.0), ((80.0, 60.0), 0.0), ((1.1, -1.4), 0.0), ((0.0, 0.0), 0.3)]
+)
 @pytest.mark.parametrize("seed", range(2))
-def test_positions_in_another_frame_than_the_map(seed, shift):
-    """The note was on the lever of an antenna, 68 m ahead, or on covariances alone."""
+def test_positions_in_another_frame_than_the_map(seed, shift, off):
+    """The note was on the lever of an antenna, 68 m ahead, on covariances alone, on the map, or on lasting errors."""
     world = {"landmarks": np.random.default_rng(seed).uniform(-7, 7, (14, 2)), "max_range": 8.0, "steps": 60}
     first, log = (
         simulate(seed=seed + k, clean=True, orientation=False, **world, **ROBOT).replace(**ROBOT) for k in (0, 50)
@@ -73,7 +76,10 @@ def test_positions_in_another_frame_than_the_map(seed, shift):
     places = log.true_poses[steps, :2] + np.random.default_rng(seed).normal(shift, 0.3, (len(steps), 2))
     positions = AbsolutePositions(steps=steps, places=places, covariances=0.09 * np.eye(2))
     known = solve(Graph.from_log(first, edges="landmark+motion")).map
+    wrong = {j: place + np.random.default_rng(seed + j).normal(0, off, 2) for j, place in known.items()}
+    known = LandmarkMap(wrong, joint=known.joint)
     notes = solve(Graph.from_log(log.replace(positions=positions), map=known, kernel="cauchy")).notes
+    assert any(note.startswith("the log contradicts the map") for note in notes) == (off > 0)
     found = [note for note in notes if note.startswith("the positions")]
     assert len(found) == (shift[0] > 0)
     for note in found:
