@@ -327,6 +327,11 @@ def _in_map_of(before: Log, log: Log, models: dict[str, Any]) -> list[Log]:
     reach = float(np.quantile(np.concatenate([before.sightings[:, 0], log.sightings[:, 0]]), 0.98))
     alone = [int(each.partial_sightings.landmarks.max()) for each in (before, log) if each.partial_sightings]
     fresh = max([*known, *alone], default=-1) + 1
+    if (single := log.partial_sightings) is not None:
+        # what this log has single numbers of alone is another landmark than that which the map has by its id
+        numbers, taken = single.landmarks, np.isin(single.landmarks, np.setdiff1d([*known], [*own]))
+        log = log.replace(partial_sightings=replace(single, landmarks=np.where(taken, numbers + fresh, numbers)))
+        fresh = 2 * fresh
     names = {j: fresh + k for k, j in enumerate(own)} | {UNIDENTIFIED: UNIDENTIFIED}
     ways = list[Log]()
     counts = np.array([np.count_nonzero(log.landmarks == j) for j in own])
@@ -362,11 +367,20 @@ def _in_map_of(before: Log, log: Log, models: dict[str, Any]) -> list[Log]:
 
 def _in_frame(log: Log, ids: np.ndarray, frame: Array, how: str) -> Log:
     """The log with ids, and initial poses in another frame."""
-    return log.replace(
-        landmarks=ids,
-        initial_poses=in_frame(frame, log.initial_poses),
-        notes=(*log.notes, f"joined without ids: {how}"),
-    )
+    notes = (*log.notes, f"joined without ids: {how}")
+    return _with_ids(log, ids).replace(initial_poses=in_frame(frame, log.initial_poses), notes=notes)
+
+
+def _with_ids(log: Log, ids: np.ndarray) -> Log:
+    """The log with other ids. Single ranges and bearings get that of most sightings of their landmark, where it has some."""
+    single, known = log.partial_sightings, ids != UNIDENTIFIED
+    if single is not None:
+        numbers = single.landmarks.copy()
+        for j in np.intersect1d(numbers, log.landmarks[known]):
+            given, counts = np.unique(ids[known & (log.landmarks == j)], return_counts=True)
+            numbers[single.landmarks == j] = given[np.argmax(counts)]
+        single = replace(single, landmarks=numbers)
+    return log.replace(landmarks=ids, partial_sightings=single)
 
 
 def _refined(joined: Log, models: dict[str, Any]) -> tuple[Log, float]:
@@ -380,7 +394,7 @@ def _refined(joined: Log, models: dict[str, Any]) -> tuple[Log, float]:
     if found is None:
         return joined, -np.inf
     ids = np.append(names_of(found.labels, bare.landmarks, joined.partial_sightings), UNIDENTIFIED)[found.labels]
-    return joined.replace(landmarks=ids, initial_poses=found.solution.poses), evidence(problem, found.solution)
+    return _with_ids(joined, ids).replace(initial_poses=found.solution.poses), evidence(problem, found.solution)
 
 
 def join_robots(robots: Mapping[int, Log], *, placed: bool = False) -> Sessions:

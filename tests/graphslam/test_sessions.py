@@ -237,6 +237,27 @@ def test_landmarks_that_are_found_in_all_logs_are_none_of_the_beacons() -> None:
 
 
 @pytest.mark.slow
+def test_ranges_alone_follow_their_landmarks_where_logs_are_joined_without_ids() -> None:
+    """They kept their ids: those of other landmarks after joining (J 6.4 times what it should be), or of none."""
+    logs = []
+    for k, log in enumerate(visits()[:2]):
+        # the ids of the second log are those of other landmarks in the first one
+        ids = np.unique(log.landmarks)
+        log = log.replace(landmarks=np.roll(ids, k)[np.searchsorted(ids, log.landmarks)])
+        alone = np.random.default_rng(k).random(len(log.steps)) < 0.5
+        ranges = log.sightings[alone, 0]
+        single = PartialSightings(
+            steps=log.steps[alone], landmarks=log.landmarks[alone], ranges=ranges, bearings=np.full(len(ranges), np.nan)
+        )
+        logs.append(log.with_sightings(~alone, partial_sightings=single))
+    joined = join_logs([*logs, bare(visits()[0])]).log
+    assert joined.partial_sightings is not None and joined.true_poses is not None
+    shared = np.isin(joined.partial_sightings.landmarks, joined.landmark_ids)
+    assert np.mean(shared) > 0.95 and len(np.union1d(joined.partial_sightings.landmarks, joined.landmark_ids)) < 36
+    solved, whole = graph(joined), solve(graph(joined))
+    assert whole.cost < 1.2 * solved.expected_cost and ate(joined.true_poses, whole.poses) < 0.05
+
+
 def test_a_log_without_ids_of_another_place_is_refused() -> None:
     other = simulate(
         seed=5, steps=20, clean=True, landmarks=scattered(8), orientation=False, motion=QUIET, max_range=6.0, name="other",
