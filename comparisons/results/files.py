@@ -271,10 +271,9 @@ def texts(comparison: Comparison) -> Iterator[tuple[str, Callable[[], str]]]:
             yield f"{result.name}-sightings.csv", partial(sightings_text, log, result)
         if result.landmarks:
             covariances = result.landmark_covariances
-            yield (
-                f"{result.name}-map.csv",
-                partial(map_text, result.landmarks, covariances, correlated=bool(covariances)),
-            )
+            datum = getattr(result.origin, "datum", None)
+            text = partial(map_text, result.landmarks, covariances, correlated=bool(covariances), datum=datum)
+            yield f"{result.name}-map.csv", text
 
 
 def _clocks(log: Log) -> Iterator[tuple[str, slice, float]]:

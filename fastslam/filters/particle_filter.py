@@ -19,6 +19,7 @@ from graphslam import AbsolutePositions, Log, MotionModel, SensorModel
 from graphslam.association import known_noise
 from graphslam.engine import available_threads, engine
 from graphslam.errors import LogError, OptionError, checks, quoted
+from graphslam.log.geometry import with_datum
 from graphslam.maps.localization import Fix
 from graphslam.se2 import Array, difference
 
@@ -140,6 +141,8 @@ class ParticleFilter(ABC):
             if motion is None and sensor is None:
                 # for logs with ids the same choice as that of `Graph.from_log`
                 log, _ = known_noise(log)
+            if map is not None:
+                log = with_datum(log, map.datum, "the datum of the map")
         self.log = log
         self.motion = motion or getattr(log, "motion", None) or MotionModel()
         self.sensor = sensor or getattr(log, "sensor", None) or SensorModel()

@@ -68,6 +68,10 @@ class PriorFactor(Factor):
         jacobians = np.split(np.eye(3 * len(keys))[np.ix_(about, has)], ends, axis=1)
         rows = held.tolist()
         centre = None if pivot is None else checks.finite_numbers("pivot", pivot, (2,))
+        if centre is not None and not np.ptp(held[:, :2], axis=0).any():
+            raise OptionError(
+                "a pivot needs values at two places or more, which have an angle together: leave it out here"
+            )
 
         def turning(*nodes: Coordinates) -> Linearized:
             way = Way.of(np.array([(*node, 0.0)[:3] for node in nodes]), held, centre)

@@ -3,25 +3,17 @@
 Messages are collected while the bag is streamed. `Frames` are the rigid motions of /tf_static and /tf. Topics of poses are
 PoseWithCovarianceStamped, Odometry, PoseStamped and NavSatFix.
 
-**Absolute positions.** Each message is one. Latitude and longitude become metres east and north in the plane that touches
-the Earth (WGS 84) at the first fix, the datum: with a the half axis, e² the eccentricity and N = a / sqrt(1 - e² sin² lat),
-
-    p = ((N + h) cos lat cos lon, (N + h) cos lat sin lon, (N (1 - e²) + h) sin lat),
-    east = (-sin lon_0, cos lon_0, 0) (p - p_0),
-    north = (-sin lat_0 cos lon_0, -sin lat_0 sin lon_0, cos lat_0) (p - p_0).
+**Absolute positions.** Each message is one. Latitude and longitude become metres as those of tables do (`log.geometry`).
 
 **Relations.** Poses of a second odometry at least `APART` seconds apart become relations from each to the next one, z =
 x_k^-1 x_{k+1}. Where the covariances P_k of the poses grow as those of dead reckoning do, that of a relation is what they
 grow by, J Q J' = P_{k+1} - F P_k F'. Otherwise those of the speeds count, Q = V dt² for each message. Relations across a
 pause longer than `GAP`, or across a jump, are left out. A message whose frame is "base_link@T" is a relation from the
 pose at the time T itself; `slam-compare run --mcap` writes such.
-
-Source: Torge and Müller, *Geodesy*, 4th edition, section 4.1.
 """
 
 from __future__ import annotations
 
-import math
 import re
 from array import array
 from collections.abc import Callable, Iterable, Sequence
@@ -32,7 +24,6 @@ from typing import Any
 import numpy as np
 
 from ..errors import FormatError, quoted
-from ..log.geometry import datum_note, local_plane
 from ..log.measurements import cut_headings, not_positive, symmetric
 from ..log.table import COVARIANCES, Columns
 from ..se2 import Array, between, compose, lever_matrix, perpendicular, turned_by
@@ -322,9 +313,9 @@ def positions_table(
         FormatError: no message has a position, or no covariance and none is stated.
     """
     notes: list[str] = []
+    names = ("latitude", "longitude", "altitude") if found.type == _FIX else ("x", "y")
     if found.type == _FIX:
-        places, C, notes = _on_plane(found, std)
-        kept = np.asarray(np.isfinite(places[:, 0]))
+        places, C, kept, notes = _fixes(found, std)
         if lever is None and (mounted := frames.between(base, found.frame)) is not None:
             lever = mounted[0][:2].tolist()
     else:
@@ -346,7 +337,7 @@ def positions_table(
         C[unknown, 2] = C[unknown, :, 2] = np.nan
     if not kept.any():
         raise FormatError(found.source, None, "none of its messages has a position")
-    columns: dict[str, Any] = {"t": found.times, "x": places[:, 0], "y": places[:, 1]}
+    columns: dict[str, Any] = {"t": found.times, **dict(zip(names, places.T))}
     if C.shape[1] == 3 and np.isfinite(places[kept, 2]).any():
         columns |= {"theta": places[:, 2]} | _entries(C)
     else:
@@ -356,8 +347,8 @@ def positions_table(
     return Columns(found.source, {name: values[kept] for name, values in columns.items()}, rows="message"), notes
 
 
-def _on_plane(found: Poses, std: Sequence[float] | None) -> tuple[Array, Array, list[str]]:
-    """The places (N, 2) of fixes, NaN where there was none, and their covariances."""
+def _fixes(found: Poses, std: Sequence[float] | None) -> tuple[Array, Array, np.ndarray, list[str]]:
+    """Latitude, longitude and altitude (N, 3) of fixes, their covariances, which of them are fixes, and notes."""
     fixes, C, known = found.fixes()
     good = (known >= 0) & np.isfinite(fixes[:, :2]).all(axis=1) & (np.abs(fixes[:, 0]) <= 90)
     notes = []
@@ -365,10 +356,6 @@ def _on_plane(found: Poses, std: Sequence[float] | None) -> tuple[Array, Array, 
         raise FormatError(found.source, None, f"none of its {len(good)} messages has a fix")
     if not good.all():
         notes.append(f"{np.sum(~good):,} of {len(good):,} messages of {found.source} have no fix: left out")
-    datum = fixes[np.argmax(good)]
-    height = datum[2] if math.isfinite(datum[2]) else 0.0
-    places = np.full((len(good), 2), np.nan)
-    places[good] = local_plane(fixes[good, :2], datum[:2], height)
     vague = good & ((known == 0) | not_positive(C))
     if std is not None:
         C = np.tile(std[0] ** 2 * np.eye(2), (len(good), 1, 1))
@@ -378,8 +365,7 @@ def _on_plane(found: Poses, std: Sequence[float] | None) -> tuple[Array, Array, 
         assumed = f"a standard deviation of {FIX:g} m is assumed; [positions] std = [METRES] in the recipe states it"
         notes.append(f"{which}: {assumed}")
     C[~good] = np.eye(2)
-    notes.append(datum_note(datum, found.source))
-    return places, C, notes
+    return fixes, C, good, notes
 
 
 def _no_noise(C: Array) -> str:

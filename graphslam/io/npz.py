@@ -7,16 +7,17 @@ column of NaN marks a landmark without heading), ``start_time``, and for logs wi
 ``control_starts`` (T+1,), ``control_variances`` (S, 3) or (S, 2), ``recorded_dt`` (S,) and ``true_path`` (S+1, 3);
 ``motion`` and ``sensor``, the fields of the noise models in their order, where the log has such models; ``notes`` (N,) and
 ``doubts`` (N, 2), texts; ``relations_first``, ``relations_second``, ``relations_motions``, ``relations_covariances`` and
-``positions_steps``, ``positions_places``, ``positions_covariances``, ``positions_levers``, the fields of `PoseRelations` and
-`AbsolutePositions`; ``partial_sightings_steps`` and so on, those of `PartialSightings`; ``uncertain`` (K, 2), names and
-numbers as texts; ``sessions`` (N, 5), the fields of each as texts;
+``positions_steps``, ``positions_places``, ``positions_covariances``, ``positions_levers``, ``positions_datums``, the fields
+of `PoseRelations` and `AbsolutePositions`; ``partial_sightings_steps`` and so on, those of `PartialSightings`;
+``uncertain`` (K, 2), names and numbers as texts; ``sessions`` (N, 5), the fields of each as texts;
 ``simulated``, where `simulate` made the log. No pickles.
 """
 
 from __future__ import annotations
 
+import re
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import astuple, fields
 from pathlib import Path
 from typing import Any
@@ -63,6 +64,8 @@ def _read(path: Path, options: ReadOptions) -> Log:
                 }
                 models[name] = model(**values)
         measured: dict[str, Any] = {}
+        if "positions_steps" in content:
+            content.setdefault("positions_datums", _datum_in(notes))
         for name, kind in MEASURED.items():
             arrays: dict[str, Any] = {f.name: content.get(f"{name}_{f.name}") for f in fields(kind)}
             if lacking := [field for field, array in arrays.items() if array is None]:
@@ -103,6 +106,12 @@ def _left_out(content: dict[str, np.ndarray], path: Path, strict: bool) -> tuple
         if name in content and content[name].shape[:1] == kept.shape:
             content[name] = content[name][kept]
     return notes
+
+
+def _datum_in(notes: Iterable[str]) -> Array:
+    """The datum of positions, which files of earlier versions have in a note alone; NaN where there is none."""
+    found = (re.search(r"metres east and north of latitude (\S+), longitude (\S+) degrees", note) for note in notes)
+    return next((np.array([float(at[1]), float(at[2]), 0.0]) for at in found if at), np.full(3, np.nan))
 
 
 def _true_landmarks(content: Mapping[str, np.ndarray]) -> dict[int, Array]:

@@ -60,7 +60,7 @@ ROLES = {
     "map": ("id", "x", "y", "theta"),
     "relations": ("t1", "t2", "dx", "dy", "dtheta", *DEVIATIONS, *COVARIANCES),
     "positions": (
-        *("t", "date", "nanosec", "x", "y", "theta", "latitude", "longitude"),
+        *("t", "date", "nanosec", "x", "y", "theta", "latitude", "longitude", "altitude"),
         *("sigma", *DEVIATIONS, *COVARIANCES, "lever_x", "lever_y"),
     ),
 }

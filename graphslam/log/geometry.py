@@ -9,13 +9,23 @@ Errors of the track and of the scales of both wheels are errors of nu and omega 
 
 **Axes.** On a robot that drives in the plane a landmark keeps its height over the sensor, while the two other coordinates
 change. A camera has the height in y (right, down, ahead: OpenCV, AprilTag), other sensors in z.
+
+**Latitude and longitude** become metres east and north in the plane that touches the Earth (WGS 84) at a datum, the height of
+which all places are taken to have: with a the half axis, e² the squared eccentricity and N = a / sqrt(1 - e² sin² lat),
+
+    p = ((N + h) cos lat cos lon, (N + h) cos lat sin lon, (N (1 - e²) + h) sin lat),
+    east = (-sin lon_0, cos lon_0, 0) (p - p_0),
+    north = (-sin lat_0 cos lon_0, -sin lat_0 sin lon_0, cos lat_0) (p - p_0).
+
+Source: Torge and Müller, *Geodesy*, 4th edition, section 4.1.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,12 +34,15 @@ from ..se2 import Array, between, sinc
 from .cells import Doubt
 from .table import Chosen, Table, plain
 
+if TYPE_CHECKING:
+    from .log import Log
+
 #: the major half-axis [m] and the squared eccentricity of the ellipsoid
 _AXIS, _ECCENTRICITY = 6378137.0, 6.69437999014e-3
 
 
-def _earth(degrees: Array, height: float = 0.0) -> Array:
-    """The point (..., 3) [m] of the ellipsoid at latitude and longitude (..., 2)."""
+def _earth(degrees: Array, height: float) -> Array:
+    """The point (..., 3) [m] at latitude and longitude (..., 2) and this height above the ellipsoid [m]."""
     latitude, longitude = np.moveaxis(np.radians(degrees), -1, 0)
     N = _AXIS / np.sqrt(1 - _ECCENTRICITY * np.sin(latitude) ** 2)
     along = (N + height) * np.cos(latitude)
@@ -38,35 +51,52 @@ def _earth(degrees: Array, height: float = 0.0) -> Array:
 
 
 def _axes(datum: Array) -> Array:
-    """The directions (2, 3) of east and north at a datum."""
-    phi, lam = np.radians(datum)
+    """The directions (2, 3) of east and north at a datum (latitude, longitude, height)."""
+    phi, lam = np.radians(datum[:2])
     return np.array([
         [-np.sin(lam), np.cos(lam), 0.0],
         [-np.sin(phi) * np.cos(lam), -np.sin(phi) * np.sin(lam), np.cos(phi)],
     ])  # fmt: skip
 
 
-def local_plane(fixes: Array, datum: Array, height: float = 0.0) -> Array:
-    """East and north (N, 2) [m] of fixes (N, 2), latitude and longitude [degrees], in the plane that touches at the datum."""
-    return np.asarray((_earth(fixes, height) - _earth(datum, height)) @ _axes(datum).T)
+def local_plane(fixes: Array, datum: Array) -> Array:
+    """East and north (N, 2) [m] of latitudes and longitudes (N, 2) [degrees], in the plane that touches at the datum (3,).
+
+    All are taken at the height of the datum.
+    """
+    return np.asarray((_earth(fixes, datum[2]) - _earth(datum[:2], datum[2])) @ _axes(datum).T)
 
 
 def on_plane_of(datum: Array, places: Array, own: Array) -> Array:
-    """Places (N, 2) [m] east and north of their own datum as those of another one; further columns stay."""
-    xy = (_earth(own) + places[:, :2] @ _axes(own) - _earth(datum)) @ _axes(datum).T
-    return np.column_stack([xy, places[:, 2:]])
+    """Places (N, 2) [m] east and north of their own datum (3,) as those of another one; further columns stay."""
+    way = _earth(own[:2], own[2]) - _earth(datum[:2], datum[2])
+    return np.column_stack([(way + places[:, :2] @ _axes(own)) @ _axes(datum).T, places[:, 2:]])
 
 
-def datum_note(datum: Array, source: str) -> str:
-    """The sentence about the origin of the plane, which `datum_of` reads."""
-    where = f"latitude {datum[0]:.8f}, longitude {datum[1]:.8f} degrees (WGS 84)"
-    return f"positions are metres east and north of {where}, the first fix of {source}"
+def datum_note(datum: Array, what: str) -> str:
+    """The sentence about the origin of positions, and what that is."""
+    latitude, longitude = (f"{number:.8f}" for number in datum[:2])
+    return f"positions are metres east and north of latitude {latitude}, longitude {longitude} degrees (WGS 84), {what}"
 
 
-def datum_of(notes: Iterable[str]) -> Array | None:
-    """The datum that the first `datum_note` among notes names, if there is one."""
-    found = (re.search(r"metres east and north of latitude (\S+), longitude (\S+) degrees", note) for note in notes)
-    return next((np.array([float(match[1]), float(match[2])]) for match in found if match), None)
+def with_datum(log: Log, datum: Array | None, what: str) -> Log:
+    """The log with its positions as metres east and north of another datum, and a note on it, in which ``what`` it is.
+
+    Positions without a datum stay as they are.
+    """
+    positions = log.positions
+    if positions is None or datum is None:
+        return log
+    places, notes = positions.places.copy(), list(log.notes)
+    for own in np.unique(positions.datums[np.isfinite(positions.datums[:, 0])], axis=0):
+        if not np.array_equal(own, datum):
+            rows = np.all(positions.datums == own, axis=1)
+            places[rows] = on_plane_of(datum, places[rows], own)
+            notes = [note for note in notes if datum_note(own, "") not in note] + [datum_note(datum, what)]
+    if np.array_equal(places, positions.places, equal_nan=True):
+        return log
+    datums = np.where(np.isnan(positions.datums), np.nan, datum)
+    return log.replace(positions=replace(positions, places=places, datums=datums), notes=tuple(dict.fromkeys(notes)))
 
 
 #: the roles of the columns of wheels

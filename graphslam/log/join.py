@@ -59,9 +59,9 @@ def relations_of(table: Table, options: TableOptions) -> Timed:
 
 
 def positions_of(table: Table, options: TableOptions) -> Timed:
-    """The absolute positions: rows (N, 14), (x, y, theta or NaN), covariances with NaN likewise, and levers.
+    """The absolute positions: rows (N, 17), (x, y, theta or NaN), covariances with NaN likewise, levers, and datums or NaN.
 
-    Latitude and longitude become metres east and north of the first fix (`local_plane`).
+    Latitude and longitude become metres east and north of the first fix, the datum, at its altitude (`local_plane`).
 
     Raises:
         LogError: a column is missing, a number is none, or a covariance is not positive definite.
@@ -71,12 +71,14 @@ def positions_of(table: Table, options: TableOptions) -> Timed:
     reader.need("t", *columns)
     table = reader.leave_out(*columns)
     ns = reader.times()
-    plain = reader.numbers(*columns)
+    plain, datum = reader.numbers(*columns), np.full(3, np.nan)
     if columns[0] == "latitude":
         if (k := first(np.abs(plain[:, 0]) > 90)) is not None:
             raise table.error(k, f"{plain[k, 0]:g} is no latitude in degrees; are latitude and longitude exchanged?")
-        datum = plain[np.argmin(ns)]
-        plain, plane = local_plane(plain, datum), (datum_note(datum, table.source),)
+        earliest = np.argmin(ns)
+        height = reader.numbers("altitude", finite=False)[earliest] if reader.has("altitude") else np.zeros(1)
+        datum = np.append(plain[earliest], np.nan_to_num(height))
+        plain, plane = local_plane(plain, datum), (datum_note(datum, f"the first fix of {table.source}"),)
     places = np.column_stack([plain, _headings(reader)])
     covariances = _noise(reader, np.isfinite(places[:, 2]))
     levers = np.zeros((len(ns), 2))
@@ -84,7 +86,7 @@ def positions_of(table: Table, options: TableOptions) -> Timed:
         if reader.has(role):
             levers[:, column] = reader.numbers(role)[:, 0]
     ns, order, notes = ordered(reader.table, ns)
-    rows = np.column_stack([places, covariances.reshape(-1, 9), levers])[order]
+    rows = np.column_stack([places, covariances.reshape(-1, 9), levers, np.tile(datum, (len(ns), 1))])[order]
     return Timed(table, ns, rows, reader.described(), notes=(*notes, *plane))
 
 

@@ -258,9 +258,11 @@ class AbsolutePositions(_Records):
         covariances: (N, 2, 2) or (N, 3, 3) in world axes [m², m rad, rad²]; one matrix is for all. Rows and columns of a
             heading that is not measured are not used.
         levers: a (N, 2), the point of the robot that is measured, (ahead, left) [m] of its pose; one point is for all.
+        datums: (N, 3) latitude and longitude [degrees, WGS 84] and height [m] of the origin of the places, which are metres
+            east and north of it; NaN where it is not known. One is for all.
 
     Raises:
-        LogError: an array has another shape, or a covariance is not positive definite.
+        LogError: an array has another shape, a covariance is not positive definite, or a latitude is beyond 90 degrees.
         OptionError: a heading is beyond 8 pi, as in degrees.
     """
 
@@ -270,6 +272,7 @@ class AbsolutePositions(_Records):
     places: Array
     covariances: Array
     levers: Array = field(default_factory=lambda: np.zeros(2))
+    datums: Array = field(default_factory=lambda: np.full(3, np.nan))
 
     def __post_init__(self) -> None:
         given = _floats("the places of positions", self.places)
@@ -293,7 +296,17 @@ class AbsolutePositions(_Records):
         covariances[unknown, 2] = covariances[unknown, :, 2] = np.nan
         levers = _for_each("the levers of positions", self.levers, (count,), (2,))
         levers = finite_floats("the levers of positions", levers, (count, 2))
-        self._set(steps=steps, places=places, covariances=covariances, levers=levers)
+        datums = _for_each("the datums of positions", self.datums, (count,), (3,))
+        known = finite_floats("the datums of positions", datums[~np.isnan(datums).all(axis=-1)], (None, 3))
+        if (k := first(np.abs(known[:, 0]) > 90)) is not None:
+            raise LogError(f"a datum of positions has the latitude {known[k, 0]:g}, which is beyond 90 degrees")
+        self._set(steps=steps, places=places, covariances=covariances, levers=levers, datums=datums)
+
+    @property
+    def datum(self) -> Array | None:
+        """The first datum (3,) that is known; None where none is."""
+        known = self.datums[np.isfinite(self.datums[:, 0])]
+        return known[0] if len(known) else None
 
     @property
     def oriented(self) -> np.ndarray:

@@ -243,6 +243,7 @@ _NAMES = {
     "cov_thetatheta": "cov_thetatheta cov_tt ctt var_theta cov_theta_theta var_yaw c33",
     "latitude": "latitude lat",
     "longitude": "longitude lon lng long",
+    "altitude": "altitude alt",
     "lever_x": "lever_x lever_ahead antenna_x offset_x",
     "lever_y": "lever_y lever_left antenna_y offset_y",
 }

@@ -6,12 +6,13 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from os import PathLike
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import FormatError, OptionError, quoted
-from ..errors.checks import array_of, check_choice, check_heading, singular
+from ..errors.checks import array_of, check_choice, check_heading, finite_numbers, singular
 from ..files import path_of
 from ..log.measurements import same
 from ..log.rows import NO_ID, UNIDENTIFIED
@@ -22,8 +23,9 @@ from .map_files import read_map, write_map
 USES = ("joint", "own", "fixed")
 #: what is said of a map that is `correlated`
 CORRELATIONS_LOST = (
-    "the file of the map has lost the correlations between its landmarks, which share errors, so that poses in it are less "
-    "exact than their covariances say: use the .npz file of this map, or of a graph of the same log"
+    "the map lacks the correlations between its landmarks, which share errors, so that poses in it are less exact than their "
+    "covariances say: only .npz files keep them, and the maps of very large graphs have none. Use the .npz file of this map, "
+    "or of a smaller graph of the same log"
 )
 #: the standard deviation [m, rad] of places and headings that are exact, where they need one
 HELD_STD = 1e-5
@@ -46,8 +48,10 @@ class LandmarkMap(dict[int, Array]):
             files do not distinguish them.
         joint: (N, N), the covariance of the coordinates of landmarks together, in increasing order of the ids ``joint_ids``.
         joint_ids: the ids of these landmarks; default: all.
-        correlated: whether the errors of landmarks are correlated although there is no joint covariance, as in a file other
-            than .npz of an estimated map. `Graph.from_log` and `OnlineSolver` have a note on it.
+        correlated: whether the errors of landmarks are correlated in a way that the covariances do not say, as in a file
+            other than .npz of an estimated map. `Graph.from_log` and `OnlineSolver` have a note on it.
+        datum: (3,) latitude and longitude [degrees, WGS 84] and height [m] of the origin of the map, of which places are
+            metres east and north; default: not known. Absolute positions of a log are given from there.
 
     Raises:
         OptionError: an id, a place or a covariance is impossible.
@@ -62,13 +66,14 @@ class LandmarkMap(dict[int, Array]):
         joint: ArrayLike | None = None,
         joint_ids: Iterable[int] | None = None,
         correlated: bool = False,
+        datum: ArrayLike | None = None,
     ) -> None:
         if not isinstance(means, Mapping):
             raise OptionError(f"a map is a mapping {{id: (x, y) or (x, y, heading)}}, not {quoted(means)}")
         super().__init__({_id(j): _place(j, place) for j, place in sorted(means.items())})
         self.classes: dict[int, str | int] = {j: _class(kind) for j, kind in (classes or {}).items() if j in self}
         self.joint: Array | None = None
-        self.correlated = correlated
+        self.datum = None if datum is None else finite_numbers("the datum of the map", datum, (3,))
         given = {} if covariances is None else covariances
         if not isinstance(given, Mapping):
             raise OptionError(
@@ -77,6 +82,7 @@ class LandmarkMap(dict[int, Array]):
         if given and joint is not None:
             raise OptionError("give covariances of single landmarks or a joint covariance, not both")
         chosen = list(given) if joint is None else sorted(self if joint_ids is None else set(joint_ids))
+        self.correlated = correlated and bool(chosen)
         if unknown := [j for j in chosen if j not in self]:
             raise OptionError(f"there is a covariance of landmark {unknown[0]}, which is not in the map")
         if joint is None:
@@ -95,7 +101,8 @@ class LandmarkMap(dict[int, Array]):
         """The map of numbers that a solver has made, which need no check; by increasing id."""
         made = cls.__new__(cls)
         dict.__init__(made, means)
-        made.covariances, made.classes, made.joint, made.correlated = dict(covariances), {}, None, False
+        made.covariances, made.classes, made.joint = dict(covariances), {}, None
+        made.correlated, made.datum = False, None
         return made
 
     @classmethod
@@ -165,7 +172,14 @@ class LandmarkMap(dict[int, Array]):
         check_choice("map_use", use, USES)
         if use == "joint":
             return self
-        return LandmarkMap(self, self.covariances if use == "own" else None, classes=self.classes)
+        return self._like(self, self.covariances if use == "own" else None)
+
+    def _like(
+        self, means: Mapping[int, ArrayLike], covariances: Mapping[int, ArrayLike] | None = None, **joint: Any
+    ) -> Self:
+        """A map with other means and covariances of its landmarks, and all else that this one knows of them."""
+        known: dict[str, Any] = {"classes": self.classes, "correlated": self.correlated, "datum": self.datum}
+        return type(self)(means, covariances, **known, **joint)
 
     def widened(self, deviation: float, exact: float = HELD_STD) -> LandmarkMap:
         """The map with an independent error of every coordinate of its places, with this standard deviation [m], besides.
@@ -179,20 +193,19 @@ class LandmarkMap(dict[int, Array]):
         if self.joint is not None:
             joint = np.diag(added)
             joint[np.ix_(known, known)] += self.joint
-            return LandmarkMap(self, classes=self.classes, joint=joint)
+            return self._like(self, joint=joint)
         parts = zip(self, np.split(added, np.cumsum(sizes)[:-1]))
         own = {j: self.covariances.get(j, 0.0) + np.diag(variances) for j, variances in parts}
-        return LandmarkMap(self, own, classes=self.classes, correlated=self.correlated)
+        return self._like(self, own)
 
     def among(self, ids: Iterable[int]) -> LandmarkMap:
         """The map of those of the ids that it has."""
         kept = sorted(set(ids) & set(self))
         means, known = {j: self[j] for j in kept}, [j for j in kept if j in self.covariances]
         if self.joint is None:
-            own = {j: self.covariances[j] for j in known}
-            return LandmarkMap(means, own, classes=self.classes, correlated=self.correlated)
+            return self._like(means, {j: self.covariances[j] for j in known})
         rows, *_ = self._in_joint(known)
-        return LandmarkMap(means, classes=self.classes, joint=self.joint[np.ix_(rows, rows)], joint_ids=known)
+        return self._like(means, joint=self.joint[np.ix_(rows, rows)], joint_ids=known)
 
     def arrays(self, ids: Iterable[int]) -> tuple[Array, Array]:
         """The places (L, 3) of landmarks, headings NaN where unknown, and their covariances (L, 3, 3), zero where exact."""

@@ -3,15 +3,16 @@
 * Tables (.csv, .tsv, .txt; .parquet is only read): one landmark per row, with the columns id, x, y and, where they are known,
   heading, class and the covariance: var_x, cov_xy, var_y, cov_x_heading, cov_y_heading, var_heading. Other common names of
   the first ones are recognised (`graphslam.log.table`). Empty cells say that something is not known. In the column correlated
-  1 says that the errors of the landmark are correlated with those of others, and the file does not say how.
+  1 says that the errors of the landmark are correlated with those of others, and the file does not say how. The columns
+  datum_latitude, datum_longitude [degrees] and datum_height [m] hold the datum of the map (`LandmarkMap`), in all rows.
 * .npz, which keeps everything without rounding: ``format`` ("graphslam-map-1"), ``ids`` (L,), ``places`` (L, 3) with NaN for
-  a heading that is not known, ``covariances`` (L, 3, 3) with NaN for what is not known, ``classes`` (L,) words, and
-  ``joint`` (N, N) where the covariances are those of the landmarks together.
+  a heading that is not known, ``covariances`` (L, 3, 3) with NaN for what is not known, ``classes`` (L,) words,
+  ``joint`` (N, N) where the covariances are those of the landmarks together, and ``datum`` (3,).
 * YAML of tags (.yaml, .yml): mappings with an id, anywhere in the file, such as the layouts of AprilTag bundles and of
   TagSLAM: x and y, themselves or in ``position``, ``translation`` or ``pose``; and heading (theta, yaw) or a quaternion
   (qx, qy, qz, qw) about the vertical. A quaternion that is tilted gives no heading: which axis a tag faces by is not known.
 * GeoJSON (.geojson, .json): a collection of points in metres of the map's plane, with the properties id, heading, class,
-  covariance and correlated. (RFC 7946 means degrees of longitude and latitude by coordinates; these are refused.)
+  covariance, correlated and datum. (RFC 7946 means degrees of longitude and latitude by coordinates; these are refused.)
 
 Positions are in metres, headings in radians.
 """
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 VERSION = "graphslam-map-1"
 #: the columns of covariances, in the order of the upper triangle of (3, 3), column by column
 COVARIANCE = ("var_x", "cov_xy", "var_y", "cov_x_heading", "cov_y_heading", "var_heading")
+DATUM = ("datum_latitude", "datum_longitude", "datum_height")
 #: words in other names of errors, and what they are errors of
 _OF_ERRORS = {"var", "variance", "cov", "covariance", "std", "stdev", "stddev", "sd", "sigma", "err", "error"}
 _ERRORS_OF = {"x", "y", "xx", "xy", "yy", "heading", "theta", "yaw", "pos", "position", "range"}
@@ -86,19 +88,19 @@ def map_text(
     classes: Mapping[int, Any] | None = None,
     comma: str = ",",
     correlated: bool = False,
+    datum: Array | None = None,
 ) -> str:
     """A map as a table with commas, or another separator; what is not known stays empty."""
-    classes = classes or {}
-    lines = [
-        comma.join(("id", "x", "y", "heading", *COVARIANCE, *["correlated"] * correlated, *["class"] * bool(classes)))
-    ]
+    classes, of_all = classes or {}, [] if datum is None else [repr(float(number)) for number in datum]
+    further = [*["correlated"] * correlated, *DATUM[: len(of_all)], *["class"] * bool(classes)]
+    lines = [comma.join(("id", "x", "y", "heading", *COVARIANCE, *further))]
     for j in sorted(means):
         mean = np.asarray(means[j], dtype=float).tolist()
         cells: list[float | None] = [*mean, *[None] * (3 - len(mean))]
         C = covariances.get(j)
         cells += [None if C is None or max(place) >= len(C) else C[place] for place in UPPER]
         row = [str(j), *("" if c is None or np.isnan(c) else repr(float(c)) for c in cells)]
-        row += ["" if C is None else "1"] * correlated
+        row += ["" if C is None else "1"] * correlated + of_all
         lines.append(comma.join(row + [_quoted_cell(str(classes.get(j, "")))] * bool(classes)))
     return "\n".join(lines) + "\n"
 
@@ -114,6 +116,11 @@ def _table(path: Path) -> Parts:
     ids = list(means)
     parts: Parts = {"means": means}
     _check_errors(table)
+    if all(name in columns for name in DATUM):
+        datums = np.unique(table.numbers([columns[name] for name in DATUM]), axis=0)
+        if len(datums) > 1:
+            raise table.error(None, "its rows have different datums: make one file of each map")
+        parts["datum"] = datums[0]
     if "var_x" in columns:
         missing = [name for name in COVARIANCE[:3] if name not in columns]
         if missing:
@@ -168,6 +175,8 @@ def _archive(path: Path) -> Parts:
         parts: Parts = {"means": means, "covariances": known, "correlated": "correlated" in content}
         if "classes" in content:
             parts["classes"] = {j: word for j, word in zip(ids, content["classes"].tolist()) if word}
+        if "datum" in content:
+            parts["datum"] = content["datum"]
         if "joint" in content:
             parts |= {"covariances": None, "joint": content["joint"], "joint_ids": list(known)}
     except (KeyError, ValueError, TypeError, AttributeError, IndexError) as error:
@@ -188,6 +197,8 @@ def _archived(landmarks: LandmarkMap) -> bytes:
         arrays["joint"] = landmarks.joint
     if landmarks.correlated:
         arrays["correlated"] = True
+    if landmarks.datum is not None:
+        arrays["datum"] = landmarks.datum
     stream = io.BytesIO()
     np.savez_compressed(stream, **arrays)
     return stream.getvalue()
@@ -239,6 +250,7 @@ def _entries(landmarks: LandmarkMap) -> Iterator[dict[str, Any]]:
         entry |= {"heading": float(place[2])} if len(place) == 3 else {}
         entry |= {"class": str(classes[j])} if j in classes else {}
         entry |= {"covariance": covariances[j].tolist()} if j in covariances else {}
+        entry |= {} if landmarks.datum is None else {"datum": landmarks.datum.tolist()}
         yield entry | ({"correlated": True} if j in covariances and _loses_correlations(landmarks) else {})
 
 
@@ -344,12 +356,12 @@ def _of_entries(path: Path, entries: list[_Entry]) -> Parts:
                 covariances[j] = np.array(entry["covariance"], dtype=float)
             except (TypeError, ValueError):
                 raise FormatError(path, line, f"{where} has a covariance that is no matrix of numbers") from None
-    correlated = any(entry.get("correlated") is True for entry, *_ in entries)
     return {
         "means": dict(sorted(means.items())),
         "covariances": covariances,
         "classes": classes,
-        "correlated": correlated,
+        "correlated": any(entry.get("correlated") is True for entry, *_ in entries),
+        "datum": next((entry["datum"] for entry, *_ in entries if entry.get("datum") is not None), None),
     }
 
 
@@ -366,7 +378,7 @@ def _number(path: Path, line: int | None, where: str, entry: Mapping[str, Any], 
 
 def _as_table(landmarks: LandmarkMap, comma: str = ",") -> bytes:
     lost = _loses_correlations(landmarks)
-    return map_text(landmarks, landmarks.covariances, landmarks.classes, comma, lost).encode()
+    return map_text(landmarks, landmarks.covariances, landmarks.classes, comma, lost, landmarks.datum).encode()
 
 
 _Writer = Callable[["LandmarkMap"], bytes]

@@ -24,6 +24,7 @@ import numpy as np
 from ..errors import GraphError
 from ..errors.checks import listed
 from ..log import UNIDENTIFIED, Log
+from ..log.geometry import with_datum
 from ..models import ANYWHERE, MotionModel, SensorModel, additional_variances
 from ..se2 import Array, begun_at, difference
 from .landmark_map import CORRELATIONS_LOST, LandmarkMap
@@ -81,7 +82,7 @@ def in_frame_of(
     the robot was lifted, the control says nothing. The log has no psi where a landmark that is seen and exact in the map has
     no heading there.
     """
-    notes = [CORRELATIONS_LOST] * landmarks.correlated
+    notes, log = [CORRELATIONS_LOST] * landmarks.correlated, with_datum(log, landmarks.datum, "the datum of the map")
     found = follow(log, landmarks, motion=motion, sensor=sensor)
     fix = found.fixes[0]
     placed = begun_at(fix.pose, log.initial_poses)

@@ -47,7 +47,7 @@ from ..identification.known import known_robot
 from ..log import UNIDENTIFIED, Log
 from ..log.cells import MOVED_BETWEEN, Doubt
 from ..log.continuous_time import CLOCK, nearest_of, with_poses_at
-from ..log.geometry import datum_note, datum_of, on_plane_of
+from ..log.geometry import with_datum
 from ..log.join import end_to_end, joined_rows
 from ..log.measurements import PartialSightings, PoseRelations, length_of
 from ..log.rows import robot_class
@@ -121,7 +121,9 @@ def join_logs(logs: Sequence[Log], *, mean_noise: bool = False, placed: bool = F
         logs = with_common_noise(logs, [None if each is None else each.inflation for each in estimates])
     for each in logs:
         _check(each, logs[0])
-    logs = _on_one_plane(logs)
+    datums = [each.positions.datum for each in logs if each.positions is not None]
+    datum = next((each for each in datums if each is not None), None)
+    logs = [with_datum(each, datum, "the first fix of an earlier log") for each in logs]
     if len(logs) > 1 and not all(each.identified for each in logs):
         joined, starts = joined_without_ids(logs)
         return Sessions(joined, (*starts, joined.num_poses))
@@ -258,20 +260,6 @@ def _check(log: Log, first: Log) -> None:
             raise LogError(f"{differ}. One graph has one; make them the same with Log.replace({name}=...){means}")
 
 
-def _on_one_plane(logs: Sequence[Log]) -> list[Log]:
-    """The logs with positions east and north of one datum, the first one, in place of the first fix of each log."""
-    datum, moved = None, list(logs)
-    for k, log in enumerate(logs):
-        if log.positions is None or (own := datum_of(log.notes)) is None:
-            continue
-        datum = own if datum is None else datum
-        if not np.array_equal(own, datum):
-            positions = replace(log.positions, places=on_plane_of(datum, log.positions.places, own))
-            others = (note for note in log.notes if datum_of([note]) is None)
-            moved[k] = log.replace(positions=positions, notes=(*others, f"its {datum_note(datum, 'an earlier log')}"))
-    return moved
-
-
 def _placed(log: Log, before: Log, known: LandmarkMap, models: dict[str, Any]) -> Log:
     """The log with its initial poses in the frame of those before, by the map that these give."""
     if not set(log.landmark_ids.tolist()) & set(before.landmark_ids.tolist()):
@@ -339,6 +327,11 @@ def _in_map_of(before: Log, log: Log, models: dict[str, Any]) -> list[Log]:
     reach = float(np.quantile(np.concatenate([before.sightings[:, 0], log.sightings[:, 0]]), 0.98))
     alone = [int(each.partial_sightings.landmarks.max()) for each in (before, log) if each.partial_sightings]
     fresh = max([*known, *alone], default=-1) + 1
+    if (single := log.partial_sightings) is not None:
+        # what this log has single numbers of alone is another landmark than that which the map has by its id
+        numbers, taken = single.landmarks, np.isin(single.landmarks, np.setdiff1d([*known], [*own]))
+        log = log.replace(partial_sightings=replace(single, landmarks=np.where(taken, numbers + fresh, numbers)))
+        fresh = 2 * fresh
     names = {j: fresh + k for k, j in enumerate(own)} | {UNIDENTIFIED: UNIDENTIFIED}
     ways = list[Log]()
     counts = np.array([np.count_nonzero(log.landmarks == j) for j in own])
@@ -374,11 +367,20 @@ def _in_map_of(before: Log, log: Log, models: dict[str, Any]) -> list[Log]:
 
 def _in_frame(log: Log, ids: np.ndarray, frame: Array, how: str) -> Log:
     """The log with ids, and initial poses in another frame."""
-    return log.replace(
-        landmarks=ids,
-        initial_poses=in_frame(frame, log.initial_poses),
-        notes=(*log.notes, f"joined without ids: {how}"),
-    )
+    notes = (*log.notes, f"joined without ids: {how}")
+    return _with_ids(log, ids).replace(initial_poses=in_frame(frame, log.initial_poses), notes=notes)
+
+
+def _with_ids(log: Log, ids: np.ndarray) -> Log:
+    """The log with other ids. Single ranges and bearings get that of most sightings of their landmark, where it has some."""
+    single, known = log.partial_sightings, ids != UNIDENTIFIED
+    if single is not None:
+        numbers = single.landmarks.copy()
+        for j in np.intersect1d(numbers, log.landmarks[known]):
+            given, counts = np.unique(ids[known & (log.landmarks == j)], return_counts=True)
+            numbers[single.landmarks == j] = given[np.argmax(counts)]
+        single = replace(single, landmarks=numbers)
+    return log.replace(landmarks=ids, partial_sightings=single)
 
 
 def _refined(joined: Log, models: dict[str, Any]) -> tuple[Log, float]:
@@ -392,7 +394,7 @@ def _refined(joined: Log, models: dict[str, Any]) -> tuple[Log, float]:
     if found is None:
         return joined, -np.inf
     ids = np.append(names_of(found.labels, bare.landmarks, joined.partial_sightings), UNIDENTIFIED)[found.labels]
-    return joined.replace(landmarks=ids, initial_poses=found.solution.poses), evidence(problem, found.solution)
+    return _with_ids(joined, ids).replace(initial_poses=found.solution.poses), evidence(problem, found.solution)
 
 
 def join_robots(robots: Mapping[int, Log], *, placed: bool = False) -> Sessions:

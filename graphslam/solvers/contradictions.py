@@ -55,7 +55,16 @@ from ..maps.registration import evenly
 from ..models import additional_variances
 from ..se2 import Array
 from .joint import JointFactor, JointGraph, motion_edges, times
-from .map_errors import FEWEST, displacements, in_map, likeliest_deviation, misfit, said_of_moved
+from .map_errors import (
+    FEWEST,
+    displacements,
+    in_map,
+    in_wider_map,
+    likeliest_deviation,
+    misfit,
+    said_of_moved,
+    said_of_wider,
+)
 from .uncertainty import Uncertainty
 
 if TYPE_CHECKING:
@@ -99,6 +108,24 @@ MISFIT, EXPLAINED = 2.0, 0.2
 FEWEST_MOTIONS = 20
 #: a part of the variance of motions that rounding may leave
 LITTLE = 1e-12
+
+
+def in_doubted_map(solution: Solution, again: Callable[[Graph], Solution] | None) -> tuple[Solution, list[str]]:
+    """The solution in its map as far as the log bears that out, if it can be solved ``again``, and notes on the map."""
+    notes = []
+    if again is not None:
+        solution, of_moved = without_moved(solution, again)
+        notes += [of_moved] * bool(of_moved)
+    graph = solution.graph
+    assert graph is not None
+    found, deviation, sure = doubt_of_map(graph, solution.state, suspected=again is not None)
+    wider = in_wider_map(solution, deviation, again) if deviation and again is not None else None
+    if wider is None and not sure:
+        found, *_ = doubt_of_map(graph, solution.state, suspected=False)
+    if found and wider is not None:
+        solution, deviation = wider
+        found = found.replace(TAKEN_FOR_RIGHT, said_of_wider(deviation))
+    return solution, [*notes, *[found] * bool(found)]
 
 
 def doubt_of_map(graph: Graph, state: Array, *, suspected: bool = True) -> tuple[str, float, bool]:

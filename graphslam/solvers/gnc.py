@@ -102,6 +102,7 @@ def solve_gnc(graph: Graph, initialize: str, tolerance: float, *, max_rounds: in
 KINDS = {
     edges.SightingEdges: "sightings",
     edges.RelationEdges: "relations",
+    edges.RelativePointEdges: "points",
     edges.RangeEdges: "ranges alone",
     edges.BearingEdges: "bearings alone",
     edges.PositionEdges: "positions",

@@ -110,7 +110,7 @@ def _joined(graph: Graph, reference: Array) -> tuple[list[gtsam.NonlinearFactor]
     parts: dict[str, list[_Part]] = {}
     for family in graph.families:
         relative, robust = family, False
-        if isinstance(family, edges.RelationEdges):
+        if isinstance(family, edges.SingleEdges):
             rest.append(family)
             continue
         if isinstance(family, edges.CartesianObservationEdges) and family.kernel in (None, kernel):
@@ -179,8 +179,9 @@ def _factors_of(
         for i, j, z, omega in _rows(family.first, family.second, without_turns(family.measured), family.weighed):
             yield factor_types.RelativePoseFactor(i, j, z, omega, frame=family.frame, at=reference[i], kernel=kernel)
     elif isinstance(family, edges.RelativePointEdges):
-        for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
-            yield factor_types.RelativePointFactor(i, j, z, information)
+        kernel = getattr(family, "kernel", None)
+        for i, j, z, information in _rows(family.first, family.second, family.measured, family.weighed):
+            yield factor_types.RelativePointFactor(i, j, z, information, kernel=kernel)
     elif isinstance(family, edges.CartesianObservationEdges):
         yield from _inverse_observations(family, family.first, family.second, reference)
     elif isinstance(family, edges.PolarObservationEdges):

@@ -39,7 +39,7 @@ from ..errors import GraphError
 from ..graph import Graph
 from ..linear.cholesky import Bordered, FactorizationError
 from ..se2 import Array, turn_matrix
-from .contradictions import FEWEST_CHECKED, MISJUDGED, SIGNIFICANT, misfit_of_edges
+from .contradictions import FEWEST_CHECKED, MISJUDGED, SIGNIFICANT, doubt_of_map, misfit_of_edges
 from .iteration import end_of, levenberg_marquardt
 from .joint import motion_edges
 from .map_errors import DETERMINED
@@ -86,12 +86,10 @@ def with_lasting_errors(solution: Solution, again: Callable[[Graph], Solution] |
         again: the solution of another graph; without it, the sentence only says what is wrong.
     """
     graph = solution.graph
-    log = None if graph is None else graph.log
-    if graph is None or log is None or log.times is None or motion_edges(graph) is None or not counted_once(graph):
+    if graph is None or not _may_last(graph):
         return solution, ""
+    assert graph.log is not None and graph.log.times is not None
     families = [f for f in graph.families if isinstance(f, PositionEdges) and f.count]
-    if sum(f.count for f in families) < FEWEST:
-        return solution, ""
     nodes = np.concatenate([f.nodes for f in families])
     squares = np.concatenate([f.linearize(solution.state, solution.state).mahalanobis for f in families])
     if np.median(squares) > OTHER_FRAME**2:
@@ -113,7 +111,7 @@ def with_lasting_errors(solution: Solution, again: Callable[[Graph], Solution] |
                 again = None
     except (FactorizationError, GraphError, np.linalg.LinAlgError):
         return solution, ""
-    step = float(np.median(np.diff(log.times[graph.steps[np.unique(nodes)]])))
+    step = float(np.median(np.diff(graph.log.times[graph.steps[np.unique(nodes)]])))
     text = (
         f"errors of absolute positions last for about {step / np.log1p(2 / max(n - 1, 0.1)):.2g} s, as those of satellite "
         f"receivers do, so that {m:.2g} positions count as one. "
@@ -129,11 +127,19 @@ def with_lasting_errors(solution: Solution, again: Callable[[Graph], Solution] |
     return wider, text + "Poses, covariances and risks contain it"
 
 
-def lasting_errors(graph: Graph, state: Array) -> tuple[float, float, float]:
+def _may_last(graph: Graph) -> bool:
+    """Whether a graph has what shows lasting errors: enough positions, and odometry with times."""
+    count = sum(f.count for f in graph.families if isinstance(f, PositionEdges))
+    timed = graph.log is not None and graph.log.times is not None
+    return timed and count >= FEWEST and motion_edges(graph) is not None and counted_once(graph)
+
+
+def lasting_errors(graph: Graph, state: Array, *, shifted: bool = False) -> tuple[float, float, float]:
     """m, by which the information of positions is too large, and the number n of positions over which errors last.
 
     Both are 1 where the log does not surely show lasting errors, or odometry alone does not check positions. Where it checks
     them, the last number is the part of their variance that errors of positions have without sightings; else it is 1.
+    Where positions were ``shifted`` to fit, what is left of their mean does not count.
 
     Raises:
         FactorizationError, GraphError: the edges do not determine the nodes.
@@ -141,12 +147,12 @@ def lasting_errors(graph: Graph, state: Array) -> tuple[float, float, float]:
     m, seen = 1.0, any(isinstance(f, SightingEdges) and f.count for f in graph.families)
     count = sum(f.count * f.dimension for f in graph.families if isinstance(f, PositionEdges))
     for _ in range(SCALED):
-        lengths, q, S = _equations(_wider(graph, state, m), state)
+        lengths, q, S = _equations(_wider(graph, state, m), state, shifted)
         if m == 1.0 and not seen and S[len(lengths), len(lengths)] < CHECKED * count:
             return 1.0, 1.0, 1.0
         m *= max(_positive(q, S, list(range(len(lengths), len(q))))[0], SMALLEST)
     of_single = m
-    lengths, q, S = _equations(_wider(graph, state, m), state)
+    lengths, q, S = _equations(_wider(graph, state, m), state, shifted)
     # lengths share their errors, so each is tried alone
     alone = [[i, *range(len(lengths), len(q))] for i in range(len(lengths))]
     found = [variances(q[rows], S[np.ix_(rows, rows)]) for rows in alone]
@@ -157,7 +163,7 @@ def lasting_errors(graph: Graph, state: Array) -> tuple[float, float, float]:
     for _ in range(ROUNDS):
         lasting, single = _positive(q, S, alone[kind])[:2]
         m = max(1.0, m * (lengths[kind] * lasting + single))
-        lengths, q, S = _equations(_wider(graph, state, m), state)
+        lengths, q, S = _equations(_wider(graph, state, m), state, shifted)
     n = (lengths[kind] * lasting + single) / max(lasting + single, 1e-300)
     if not seen:
         whole = 2 / of_single - 1
@@ -184,7 +190,7 @@ def _wider(graph: Graph, state: Array, m: float) -> Graph:
     return graph.with_changed(PositionEdges, changed)
 
 
-def _equations(graph: Graph, state: Array) -> tuple[np.ndarray, Array, Array]:
+def _equations(graph: Graph, state: Array, shifted: bool) -> tuple[np.ndarray, Array, Array]:
     """Lengths L (K,), and q and S of errors of positions with these lengths, and then of other errors."""
     from scipy.sparse import hstack
 
@@ -194,15 +200,16 @@ def _equations(graph: Graph, state: Array) -> tuple[np.ndarray, Array, Array]:
     changed = graph.with_changed(SightingEdges, lambda f: settled(f, state))
     seen = [f for f in changed.families if isinstance(f, SightingEdges) and f.count]
     drive = Whitened(changed, [replace(moved, frame="body"), *positions, *seen], state)
-    # scales of the wheels and of the turns, a bias of the turn rate, the scale of the world, and the lever of the antenna
+    # scales of the wheels and of the turns, a bias of the turn rate, the scale of the world, the lever, and the shift
     by_motions = np.zeros((moved.count, 3, 3))
     by_motions[:, :2, 0], by_motions[:, 2, 1] = moved.measured[:, :2], moved.measured[:, 2]
     by_motions[:, 2, 2] = log.times[graph.steps[moved.second]] - log.times[graph.steps[moved.first]]
     unknown = [drive.rows(0, by_motions, np.zeros(moved.count, dtype=int), 1)]
     centre, at_places = np.mean(np.concatenate([f.points(state) for f in positions]), axis=0), 0
     for k, f in enumerate(positions, 1):
-        J = np.zeros((f.count, f.dimension, 3))
-        J[:, :2, 0], J[:, :2, 1:] = f.points(state) - centre, turn_matrix(state[f.nodes, 2])[:, :2, :2]
+        J = np.zeros((f.count, f.dimension, 5 if shifted else 3))
+        J[:, :2, 0], J[:, :2, 1:3] = f.points(state) - centre, turn_matrix(state[f.nodes, 2])[:, :2, :2]
+        J[:, :2, 3:] = np.eye(2)[:, : J.shape[2] - 3]
         at_places = at_places + drive.rows(k, J, np.zeros(f.count, dtype=int), 1)
     drive.free(hstack([*unknown, at_places]).toarray())
     single = [drive.single(k) for k in range(1, len(drive.edges))]
@@ -234,13 +241,19 @@ def doubt_of_frame(graph: Graph, state: Array) -> str:
     if not families or not graph.map:
         return ""
     try:
-        shift, S, rest = _fitted(graph, families, state, in_world=True)
-        lever, T, other = _fitted(graph, families, state, in_world=False)
+        shift, S, rest, moved = _fitted(graph, families, state, in_world=True)
+        z = float(np.sqrt(shift @ S @ shift)) / rest
+        # where they, or the map, do not fit with it either, there is more than a shift
+        if not z > SIGNIFICANT or rest > MISJUDGED:
+            return ""
+        if doubt_of_map(moved, moved.initial, suspected=graph.reweighted)[0]:
+            return ""
+        # the mean of errors that last is no shift
+        z /= lasting_errors(moved, moved.initial, shifted=True)[0] ** 0.5 if _may_last(moved) else 1.0
+        lever, T, other, _ = _fitted(graph, families, state, in_world=False)
     except (FactorizationError, GraphError, np.linalg.LinAlgError):
         return ""
-    z, z_of_lever = float(np.sqrt(shift @ S @ shift)) / rest, float(np.sqrt(lever @ T @ lever)) / other
-    # where they do not fit with it either, there is more than a shift
-    if not z > max(SIGNIFICANT, z_of_lever) or rest > MISJUDGED:
+    if not z > max(SIGNIFICANT, float(np.sqrt(lever @ T @ lever)) / other):
         return ""
     error = rest * np.linalg.eigvalsh(S)[0] ** -0.5
     return (
@@ -259,7 +272,7 @@ def doubt_of_positions(graph: Graph, state: Array, *, lasting: bool = False) -> 
     if not (families := _checked(graph)):
         return ""
     try:
-        lever, S, rest = _fitted(graph, families, state, in_world=False)
+        lever, S, rest, _ = _fitted(graph, families, state, in_world=False)
         ratio = misfit_of_edges(graph, state, PositionEdges)
     except (FactorizationError, GraphError, np.linalg.LinAlgError):
         return ""
@@ -292,17 +305,22 @@ def _checked(graph: Graph) -> list[PositionEdges]:
     return [] if few else families
 
 
-def _fitted(graph: Graph, families: list[PositionEdges], state: Array, *, in_world: bool) -> tuple[Array, Array, float]:
+def _fitted(
+    graph: Graph, families: list[PositionEdges], state: Array, *, in_world: bool
+) -> tuple[Array, Array, float, Graph]:
     """The lever s, or the shift s in axes of the world, S, and the errors over the stated ones with s, at least 1.
 
-    Where s is large, the solution follows it.
+    The last is the graph with s, at its solution. Where s is large, the solution follows it. Where the kernel gives most
+    positions little weight, their median is the first s.
 
     Raises:
         FactorizationError, GraphError: the edges do not determine the nodes.
     """
     total, S = _step(graph, families, state, in_world)
-    if total @ S @ total <= SIGNIFICANT**2:
-        return total, S, 1.0
+    if np.median(np.concatenate([f.kernel_weights(state) for f in families])) < WRONG:
+        total = np.median(np.concatenate([_ways(f, state, in_world) for f in families]), axis=0)
+    elif total @ S @ total <= SIGNIFICANT**2:
+        return total, S, 1.0, graph.with_initial(state)
 
     def moved(edges: PositionEdges) -> PositionEdges:
         if in_world:
@@ -316,7 +334,13 @@ def _fitted(graph: Graph, families: list[PositionEdges], state: Array, *, in_wor
         if step @ S @ step < SMALL:
             break
         total = total + step
-    return total, S, max(1.0, misfit_of_edges(other, state, PositionEdges))
+    return total, S, max(1.0, misfit_of_edges(other, state, PositionEdges)), other.with_initial(state)
+
+
+def _ways(family: PositionEdges, state: Array, in_world: bool) -> Array:
+    """The ways (E, 2) from where the estimate has the points to where they were measured, in axes of world or robot."""
+    turns = turn_matrix(0.0 * family.nodes if in_world else -state[family.nodes, 2])[:, :2, :2]
+    return np.einsum("eij,ej->ei", turns, family.measured[:, :2] - family.points(state))
 
 
 def _step(graph: Graph, families: list[PositionEdges], state: Array, in_world: bool) -> tuple[Array, Array]:

@@ -32,7 +32,6 @@ from . import contradictions
 from .certificate import Certificate, prove
 from .iteration import Run
 from .joint import motion_edges
-from .map_errors import in_wider_map, said_of_wider
 from .position_errors import doubt_of_frame, doubt_of_positions, with_lasting_errors
 from .scan_errors import errors_of_scans
 from .uncertainty import Uncertainty, doubts, ids_of, shaped
@@ -41,8 +40,15 @@ from .uncertainty import Uncertainty, doubts, ids_of, shaped
 MAX_JOINT_NUMBERS = 50_000_000
 
 
+def _datum_of(graph: Graph) -> Array | None:
+    """The datum of the frame of a graph: that of its map, or else of its absolute positions."""
+    if graph.map is not None:
+        return graph.map.datum
+    return None if graph.log is None or graph.log.positions is None else graph.log.positions.datum
+
+
 def solved_map(graph: Graph, state: Array, uncertainty: Uncertainty) -> LandmarkMap:
-    """The map at a solution (n, 3), in the frame of the graph.
+    """The map at a solution (n, 3), in the frame of the graph: that of its map, or else of its absolute positions.
 
     Landmarks of the graph's own map that are exact stay so. Graphs without landmark nodes get them: their covariances then
     count each sighting once, also where the weight "pairs" counts it more often.
@@ -67,9 +73,10 @@ def solved_map(graph: Graph, state: Array, uncertainty: Uncertainty) -> Landmark
     classes = known.classes | _classes(log)
     # landmarks of the graph's map that are no nodes are as they were
     others = {j: C for j, C in known.covariances.items() if j not in means_of_nodes}
+    said: dict[str, Any] = {"classes": classes, "datum": _datum_of(graph)}
     if 9 * len(free) * graph.num_nodes > MAX_JOINT_NUMBERS or not len(free):
         covariances = dict(zip(ids, uncertainty.diagonal[free, :d, :d]))
-        return LandmarkMap(means, others | covariances, classes=classes)
+        return LandmarkMap(means, others | covariances, correlated=known.correlated or len(free) > 1, **said)
     kept = np.tile(np.arange(3) < d, len(free))
     joint = uncertainty.joint(free)[np.ix_(kept, kept)]
     if others:
@@ -80,7 +87,8 @@ def solved_map(graph: Graph, state: Array, uncertainty: Uncertainty) -> Landmark
     places = np.repeat([*ids, *others], [d] * len(ids) + [len(C) for C in others.values()])
     order = np.argsort(places, kind="stable")
     joint = joint[np.ix_(order, order)]
-    return LandmarkMap(means, classes=classes, joint=(joint + joint.T) / 2, joint_ids=[*ids, *others])
+    joint = (joint + joint.T) / 2
+    return LandmarkMap(means, joint=joint, joint_ids=[*ids, *others], correlated=known.correlated, **said)
 
 
 def _with_nodes(graph: Graph, log: Log, state: Array) -> tuple[Graph, Array]:
@@ -245,6 +253,11 @@ class Solution:
             OptionError: the solution has no landmarks. GraphError: the edges do not determine them.
         """
         return solved_map(self._solved_graph, self.state, self._uncertainty)
+
+    @property
+    def datum(self) -> Array | None:
+        """Latitude, longitude [degrees, WGS 84] and height [m] of the origin of poses and landmarks; None where not known."""
+        return None if self.graph is None else _datum_of(self.graph)
 
     def nees(self, true_poses: ArrayLike) -> Array:
         """The normalised estimation error squared e' P^-1 e / 3 of every pose, (T+1,); 1 on average if consistent.
@@ -439,24 +452,14 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
     graph, notes = solution.graph, []
     if graph is None or not solution.converged:
         return solution
-    in_map = again if graph.reweighted else None
-    if in_map is not None:
-        solution, of_moved = contradictions.without_moved(solution, in_map)
+    # positions of another frame make the map look wrong, and their errors as if they lasted
+    if not (of_frame := doubt_of_frame(graph, solution.state)):
+        solution, of_map = contradictions.in_doubted_map(solution, again if graph.reweighted else None)
         graph = solution._solved_graph
-        notes += [of_moved] * bool(of_moved)
-    found, deviation, sure = contradictions.doubt_of_map(graph, solution.state, suspected=in_map is not None)
-    wider = in_wider_map(solution, deviation, in_map) if deviation and in_map is not None else None
-    if wider is None and not sure:
-        found, *_ = contradictions.doubt_of_map(graph, solution.state, suspected=False)
-    if found:
-        if wider is not None:
-            solution, deviation = wider
-            found = found.replace(contradictions.TAKEN_FOR_RIGHT, said_of_wider(deviation))
-        notes.append(found)
+        notes += of_map
     solution, of_odometry = contradictions.without_slips_of(solution, again)
     solution, lasting = with_lasting_errors(solution, again)
     graph = solution._solved_graph
-    of_frame = doubt_of_frame(graph, solution.state)
     of_positions = of_frame or doubt_of_positions(graph, solution.state, lasting=bool(lasting))
     common, of_scans = errors_of_scans(graph, solution.state)
     of_relations = contradictions.doubt_of_relations(graph, solution.state)

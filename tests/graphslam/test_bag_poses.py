@@ -31,7 +31,7 @@ TIMES = [START + k * STEP for k in range(COUNT)]
 NU, OMEGA = 0.5, 0.1
 ANGLES = OMEGA * 0.1 * np.arange(COUNT)
 TRUTH = np.column_stack([5 * np.sin(ANGLES), 5 * (1 - np.cos(ANGLES)), ANGLES])
-DATUM = (35.0, 139.0)
+DATUM = (35.0, 139.0, 40.0)
 
 
 def whole(variances: dict[tuple[int, int], float]) -> np.ndarray:
@@ -62,7 +62,7 @@ def drive(ros: int = 2) -> Maker:
 
 def degrees_of(places: np.ndarray) -> np.ndarray:
     """Latitude and longitude of places (N, 2) [m] near the datum, by Newton's method on `local_plane`."""
-    found = np.tile(DATUM, (len(places), 1)).astype(float)
+    found = np.tile(DATUM[:2], (len(places), 1)).astype(float)
     for _ in range(5):
         off = places - local_plane(found, np.array(DATUM))
         found += off[:, ::-1] / np.array([110_941.0, 91_288.0])
@@ -111,9 +111,9 @@ def test_fixes_are_positions_of_the_antenna(tmp_path: Path, ros: int, name: str,
 def test_the_plane_is_that_of_the_earth() -> None:
     # a minute of latitude at 45 degrees is one of a circle with the meridian's radius of curvature there, 6,367,382 m; one of
     # longitude at the equator is a 21,600th of the circumference
-    north = local_plane(np.array([[45 + 1 / 120, 7.0], [45 - 1 / 120, 7.0]]), np.array([45.0, 7.0]))
+    north = local_plane(np.array([[45 + 1 / 120, 7.0], [45 - 1 / 120, 7.0]]), np.array([45.0, 7.0, 0.0]))
     assert north[0, 1] - north[1, 1] == pytest.approx(6_367_381.8 * np.pi / 180 / 60, rel=1e-6)
-    east = local_plane(np.array([[0.0, 1 / 60]]), np.array([0.0, 0.0]))
+    east = local_plane(np.array([[0.0, 1 / 60]]), np.zeros(3))
     assert east[0] == pytest.approx([2 * np.pi * 6_378_137 / 21_600, 0.0], rel=1e-6, abs=1e-9)
 
 

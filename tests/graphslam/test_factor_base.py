@@ -76,6 +76,7 @@ ABUSES = [
     ("prior in degrees", "PriorFactor([X1], [[0, 0, 90]], np.eye(3))", "OptionError", "heading of values is 90 rad"),
     ("position in degrees", "PositionFactor(X1, [0, 0, 90], np.eye(3))", "OptionError", "heading of measured is 90 rad"),
     ("more points than keys", "PriorFactor([X1], [[0, 0, 0]], np.eye(3), points=2)", "OptionError", "points must be at most 1"),
+    ("turn of one place", "PriorFactor([X1, X2], np.ones((2, 3)), np.eye(6), pivot=[0, 0])", "OptionError", "a pivot needs values at two"),
     ("parts of coordinates", "PriorFactor([X1], [[0, 0, 0]], np.eye(2), coordinates=[2.5])", "OptionError", "coordinates must be 2 or 3"),
     ("complex residual", "solved(ResidualFactor([X1], lambda a: (np.array([1j]), [np.ones((1, 3))]), [[1]]), values())", "FactorError", "it is complex"),
     ("kernel of no kind", "AnchorFactor(X1, [0, 0, 0], kernel=graphslam.edges.robust.Kernel(2.0))", "OptionError", "kernel must be"),

@@ -39,6 +39,11 @@ def same(a, b):
 def test_a_written_map_is_read_exactly(mixed, name, tmp_path):
     mixed.save(tmp_path / name)
     same(LandmarkMap.load(tmp_path / name), mixed)
+    assert LandmarkMap.load(tmp_path / name).datum is None
+    with_datum = mixed.copy()
+    with_datum.datum = np.array([35.5, -139.123456789, -12.5])
+    with_datum.save(tmp_path / name)
+    assert np.array_equal(LandmarkMap.load(tmp_path / name).datum, with_datum.datum)
 
 
 @pytest.mark.parametrize("name", ["map.csv", "map.npz", "map.yaml", "map.geojson"])

@@ -12,6 +12,7 @@ from graphslam import (
     AbsolutePositions,
     Drive,
     Graph,
+    LandmarkMap,
     MotionModel,
     PoseRelations,
     SensorModel,
@@ -21,6 +22,7 @@ from graphslam import (
     solve,
 )
 from graphslam.edges import SightingEdges
+from graphslam.log.geometry import datum_note, on_plane_of
 from graphslam.metrics import ate
 from graphslam.se2 import between, difference, mounted, turned_by
 from graphslam.solvers.uncertainty import Uncertainty
@@ -60,10 +62,12 @@ def test_a_lever_that_nobody_has_stated(seed, kernel):
     assert (ahead, left) == pytest.approx((0.8, -0.4), abs=0.15)
 
 
-@pytest.mark.parametrize("shift", [(0.0, 0.0), (80.0, 60.0)])
+@pytest.mark.parametrize(
+    ("shift", "off"), [((0.0, 0.0), 0.0), ((80.0, 60.0), 0.0), ((1.1, -1.4), 0.0), ((0.0, 0.0), 0.3)]
+)
 @pytest.mark.parametrize("seed", range(2))
-def test_positions_in_another_frame_than_the_map(seed, shift):
-    """The note was on the lever of an antenna, 68 m ahead, or on covariances alone."""
+def test_positions_in_another_frame_than_the_map(seed, shift, off):
+    """The note was on the lever of an antenna, 68 m ahead, on covariances alone, on the map, or on lasting errors."""
     world = {"landmarks": np.random.default_rng(seed).uniform(-7, 7, (14, 2)), "max_range": 8.0, "steps": 60}
     first, log = (
         simulate(seed=seed + k, clean=True, orientation=False, **world, **ROBOT).replace(**ROBOT) for k in (0, 50)
@@ -72,13 +76,39 @@ def test_positions_in_another_frame_than_the_map(seed, shift):
     places = log.true_poses[steps, :2] + np.random.default_rng(seed).normal(shift, 0.3, (len(steps), 2))
     positions = AbsolutePositions(steps=steps, places=places, covariances=0.09 * np.eye(2))
     known = solve(Graph.from_log(first, edges="landmark+motion")).map
+    wrong = {j: place + np.random.default_rng(seed + j).normal(0, off, 2) for j, place in known.items()}
+    known = LandmarkMap(wrong, joint=known.joint)
     notes = solve(Graph.from_log(log.replace(positions=positions), map=known, kernel="cauchy")).notes
+    assert any(note.startswith("the log contradicts the map") for note in notes) == (off > 0)
     found = [note for note in notes if note.startswith("the positions")]
     assert len(found) == (shift[0] > 0)
     for note in found:
         words = note.split()
         assert (float(words[3]), float(words[8])) == pytest.approx(shift, abs=0.5)
         assert translated(note, "ja") != note
+
+
+def test_positions_of_another_first_fix_than_that_of_the_map() -> None:
+    """They were left where they were, 2 m off: poses were off by up to 0.22 m, and a note doubted the positions."""
+    world = {"landmarks": np.random.default_rng(1).uniform(-7, 7, (14, 2)), "max_range": 8.0, "steps": 60}
+    here, there = np.array([48.1, 11.7, 500.0]), np.array([48.10002, 11.70001, 503.0])
+    logs = []
+    for seed, datum in ((1, here), (51, there)):
+        log = simulate(seed=seed, clean=True, orientation=False, **world, **ROBOT).replace(**ROBOT)
+        steps = np.arange(0, log.num_poses, 2)
+        places = on_plane_of(datum, log.true_poses[steps, :2], here) + np.random.default_rng(seed).normal(
+            0, 0.1, (31, 2)
+        )
+        measured = AbsolutePositions(steps=steps, places=places, covariances=0.01 * np.eye(2), datums=datum)
+        logs.append(log.replace(positions=measured))
+    known = solve(Graph.from_log(logs[0], edges="landmark+motion")).map
+    assert known.datum == pytest.approx(here) and known.among(list(known)[:3]).widened(0.1).datum == pytest.approx(here)
+    solution = solve(Graph.from_log(logs[1], map=known, kernel="cauchy"))
+    assert solution.datum == pytest.approx(here)
+    off = solution.poses[:, :2] - logs[1].true_poses[:, :2]
+    assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.1
+    notes = [note for note in (*solution.graph.log.notes, *solution.notes) if "positions" in note]
+    assert notes == [datum_note(here, "the datum of the map")] and translated(notes[0], "ja") != notes[0]
 
 
 @pytest.mark.parametrize(("sigma", "said"), [(0.3, 0.06), (0.1, 0.5)])

@@ -3,7 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graphslam import Graph, GraphError, SensorModel, load, sample_log_path, simulate, solve
+from graphslam import Graph, GraphError, SensorModel, load, sample_log_path, simulate, solve, solve_with_gtsam
+from graphslam.edges import CartesianObservationEdges
 from graphslam.graph.transform import relative_graph
 from graphslam.se2 import wrap
 
@@ -131,3 +132,19 @@ def test_parameters_of_the_robot_keep_their_values(estimate):
     np.testing.assert_allclose(again.state, found.state, atol=1e-6)
     # what is unknown of the scale is no part of the edges
     assert np.all(np.diag(found.covariance(20)) > np.diag(again.covariance(20)))
+
+
+@pytest.mark.parametrize("trusted", [False, True])
+def test_points_that_may_be_wrong_are_the_same_for_all_solvers(trusted):
+    """GTSAM had them without kernel and trust, and graduated non-convexity ended with a StopIteration."""
+    log = simulate(seed=1, steps=30, clean=True, orientation=False)
+    graph = Graph.from_log(log, edges="landmark+motion", kernel="cauchy")
+
+    def points(seen):
+        return replace(seen.relative, trust=np.linspace(0.2, 1.0, seen.count) if trusted else None)
+
+    other = graph.with_changed(CartesianObservationEdges, points)
+    own, theirs = solve(other), solve_with_gtsam(other)
+    assert theirs.cost == pytest.approx(own.cost, rel=1e-9)
+    assert np.abs(own.poses - theirs.poses).max() < 1e-5
+    assert len(solve(other, method="gnc").other_trust["points"]) == len(log.steps)

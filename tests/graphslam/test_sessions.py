@@ -29,7 +29,7 @@ from graphslam import (
 from graphslam.association import score
 from graphslam.association.map_states import session_states
 from graphslam.log import UNIDENTIFIED
-from graphslam.log.geometry import datum_note, datum_of, on_plane_of
+from graphslam.log.geometry import on_plane_of
 from graphslam.log.measurements import PartialSightings
 from graphslam.metrics import ate
 from graphslam.se2 import between
@@ -140,20 +140,21 @@ def test_ranges_alone_are_not_given_as_from_another_place_of_the_sensor(number: 
 
 def test_positions_of_joined_logs_have_one_datum() -> None:
     """The first fix of each log was the origin of its own plane, and poses were off by as much as these are apart."""
-    data = np.array([[48.1234567, 11.7654321], [48.1301, 11.7711]])
+    data = np.array([[48.1234567, 11.7654321, 510.0], [48.1301, 11.7711, 512.0]])
     logs = []
     for part, datum in zip(cut(drive(), 2), data):
         assert part.true_poses is not None
         places = on_plane_of(datum, part.true_poses[::5, :2], data[0])
         assert np.allclose(on_plane_of(data[0], places, datum), part.true_poses[::5, :2], atol=1e-3)
         positions = AbsolutePositions(
-            steps=np.arange(0, part.num_poses, 5), places=places, covariances=0.01 * np.eye(2)
+            steps=np.arange(0, part.num_poses, 5), places=places, covariances=0.01 * np.eye(2), datums=datum
         )
-        logs.append(part.replace(positions=positions, notes=(datum_note(datum, "gps.csv"),)))
+        logs.append(part.replace(positions=positions))
     joined = join_logs(logs).log
     errors = solve(graph(joined)).poses - joined.true_poses
     assert np.hypot(errors[:, 0], errors[:, 1]).max() < 0.3
-    assert np.array_equal(datum_of(joined.notes), data[0]) and sum("48.1301" in note for note in joined.notes) == 0
+    assert joined.positions is not None and np.array_equal(np.unique(joined.positions.datums, axis=0), data[:1])
+    assert sum("48.1234567" in note for note in joined.notes) == 1
 
 
 def test_measurements_of_a_later_log_keep_their_poses() -> None:
@@ -236,6 +237,27 @@ def test_landmarks_that_are_found_in_all_logs_are_none_of_the_beacons() -> None:
 
 
 @pytest.mark.slow
+def test_ranges_alone_follow_their_landmarks_where_logs_are_joined_without_ids() -> None:
+    """They kept their ids: those of other landmarks after joining (J 6.4 times what it should be), or of none."""
+    logs = []
+    for k, log in enumerate(visits()[:2]):
+        # the ids of the second log are those of other landmarks in the first one
+        ids = np.unique(log.landmarks)
+        log = log.replace(landmarks=np.roll(ids, k)[np.searchsorted(ids, log.landmarks)])
+        alone = np.random.default_rng(k).random(len(log.steps)) < 0.5
+        ranges = log.sightings[alone, 0]
+        single = PartialSightings(
+            steps=log.steps[alone], landmarks=log.landmarks[alone], ranges=ranges, bearings=np.full(len(ranges), np.nan)
+        )
+        logs.append(log.with_sightings(~alone, partial_sightings=single))
+    joined = join_logs([*logs, bare(visits()[0])]).log
+    assert joined.partial_sightings is not None and joined.true_poses is not None
+    shared = np.isin(joined.partial_sightings.landmarks, joined.landmark_ids)
+    assert np.mean(shared) > 0.95 and len(np.union1d(joined.partial_sightings.landmarks, joined.landmark_ids)) < 36
+    solved, whole = graph(joined), solve(graph(joined))
+    assert whole.cost < 1.2 * solved.expected_cost and ate(joined.true_poses, whole.poses) < 0.05
+
+
 def test_a_log_without_ids_of_another_place_is_refused() -> None:
     other = simulate(
         seed=5, steps=20, clean=True, landmarks=scattered(8), orientation=False, motion=QUIET, max_range=6.0, name="other",
