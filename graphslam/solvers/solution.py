@@ -455,7 +455,6 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
     # positions of another frame make the map look wrong, and their errors as if they lasted
     if not (of_frame := doubt_of_frame(graph, solution.state)):
         solution, of_map = contradictions.in_doubted_map(solution, again if graph.reweighted else None)
-        graph = solution._solved_graph
         notes += of_map
     solution, of_odometry = contradictions.without_slips_of(solution, again)
     solution, lasting = with_lasting_errors(solution, again)
