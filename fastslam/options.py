@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
-from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -280,7 +279,7 @@ LARGEST_WAY = 1e9
 
 def index(name: str, value: Any, count: int) -> int:
     """Return a whole number between 0 and count - 1, of Python or NumPy; True and False are refused."""
-    if not isinstance(value, Integral) or isinstance(value, bool):
+    if not isinstance(value, (int, np.integer)) or isinstance(value, bool):
         raise OptionError(f"{name} must be a whole number, not {quoted(value)}")
     if not 0 <= value < count:
         raise OptionError(f"there is no {name} {value}: they are numbered 0 to {count - 1}")

@@ -167,8 +167,9 @@ void Filter::weigh_known(std::span<const KnownSighting> sightings) {
             Lanes value{};
             // N(z; h(x, m), Q + H S H')
             for (const KnownSighting& k : sightings)
-                value += k.exact() ? known_likelihood(pose, k.landmark, k.sighting, k.oriented)
-                                   : predicted_likelihood(certain(pose), common(k.landmark, k.covariance), k.sighting, k.oriented);
+                value += k.exact()
+                             ? known_likelihood(pose, k.landmark, k.sighting, k.oriented)
+                             : predicted_likelihood(certain(pose), common(k.landmark, k.covariance), k.sighting, k.oriented);
             numbers::store(log_likelihoods_.row(0) + i, value);
         }
     });

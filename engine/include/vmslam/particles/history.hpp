@@ -58,9 +58,9 @@ class History {
     /// The history of one living particle: (x, y, theta) of each step.
     std::vector<std::array<double, 3>> trajectory(std::size_t particle) const;
 
-    /// The weighted mean of all living histories, for weights that sum to 1, of the points at `lever` in the axes of the poses,
-    /// the heading as the direction of the mean of (cos, sin); and the number of distinct ancestors of the living particles at
-    /// each step.
+    /// The weighted mean of all living histories, for weights that sum to 1, of the points at `lever` in the axes of the
+    /// poses, the heading as the direction of the mean of (cos, sin); and the number of distinct ancestors of the living
+    /// particles at each step.
     struct Summary {
         std::vector<std::array<double, 3>> means;
         std::vector<std::int64_t> distinct;
