@@ -26,8 +26,6 @@ from . import OptionError, quoted, shortened
 #: beyond these values numbers are probably in another unit: range [m], speed [m/s], turn rate [rad/s], time of a control [s].
 #: Tables with such numbers are refused unless their unit is stated, `log_checks` reports them, and factors refuse turn rates.
 FARTHEST, FASTEST, QUICKEST, LONGEST = 1000.0, 100.0, 2 * math.pi, 5.0
-#: rows of odometry that are closer in time [s] are probably in minutes, hours or days
-SHORTEST = 1e-4
 #: larger angles [rad] are probably in degrees: of a sighting or a turn, with what printing it to six digits may add; headings
 WHOLE_TURN, FOUR_TURNS, SIX_TURNS = 2 * math.pi + 1e-6, 8 * math.pi, 12 * math.pi
 

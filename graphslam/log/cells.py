@@ -183,11 +183,15 @@ def by_size(values: np.ndarray) -> str:
     return "s"
 
 
+#: rows of odometry that are closer in time [s] are probably in minutes, hours or days
+SHORTEST = 1e-4
+
+
 def check_spacing(table: Table, column: int, ns: np.ndarray) -> None:
     """Raise `LogError` where times (N,) [ns] of odometry, whose unit is not stated, are as far apart as in another unit."""
     apart, units = np.diff(ns) / 1e9, list(UNITS)
     middle = float(np.median(apart[apart > 0])) if (apart > 0).any() else 1.0
-    if checks.SHORTEST <= middle <= checks.LONGEST or is_dated(table, column):
+    if SHORTEST <= middle <= checks.LONGEST or is_dated(table, column):
         return
     used = by_size(table.numbers([column]))
     spacing = f"neighbouring rows are {middle:g} s apart (median)"

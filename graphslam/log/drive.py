@@ -344,7 +344,8 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     reader = Reader("odometry", table, options)
     motion, of_wheels = motion_of(table, reader.found, options.track), tuple[str, ...]()
     needed = motion if "x" not in motion or reader.has("qz", "qw") else (*motion, "theta")
-    if not reader.has(*needed) and {"range", "bearing"} <= find("sightings", table, ROLES["sightings"], {}, {}).keys():
+    seen = find("sightings", table, ROLES["sightings"], {}, {}, ROLES["sightings"]).keys()
+    if not reader.has(*needed) and {"id", "range", "bearing"} <= seen:
         raise table.error(None, "it has the columns of sightings: are the two tables exchanged?")
     instead = ", and none for x, y and theta instead of nu and omega"
     reader.need("t", *needed, instead="" if "x" in motion or reader.has(*motion) else instead)

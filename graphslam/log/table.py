@@ -253,6 +253,11 @@ NAMES: dict[str, tuple[str, ...]] = {
     "right": _of_wheel("right"),
     **{role: _words(names) for role, names in _NAMES.items()},
 }
+#: numbers that are neither a place nor a speed ahead
+_OTHER_NAMES = _words(
+    "angular_x angular_y angular_velocity_x angular_velocity_y gyro_x gyro_y acceleration_x acceleration_y accel_x accel_y "
+    "acc_x acc_y"
+)
 #: names too short or too general to be recognised at the end of a longer one
 WHOLE = _words("v w r l d b kind type std sx sy t1 t2 lat lon lng long")
 _UNITS = {
@@ -352,7 +357,7 @@ def find(
         for role in roles:
             if role in found:
                 continue
-            others = [each for other in roles if other != role for each in NAMES[other]]
+            others = [*_OTHER_NAMES, *(each for other, names_of in NAMES.items() if other != role for each in names_of)]
             for name in NAMES[role]:
                 # orientation_x is no x
                 longer = tuple(f"_{each}" for each in others if each.endswith(f"_{name}"))
@@ -361,7 +366,7 @@ def find(
                     for k, (own, _) in enumerate(names)
                     if k not in taken | left_alone
                     and (own == name or (tail and name not in WHOLE and own.endswith(f"_{name}")))
-                    and not own.endswith(longer)
+                    and not f"_{own}".endswith(longer)
                 ]
                 if len(fits) > 1 and role in dispensable:
                     break

@@ -419,12 +419,17 @@ def test_columns_of_exported_messages(drive, expected):
     """The names that `rostopic echo -p` and PlotJuggler give."""
     names = "%time,field.header.seq,field.twist.twist.linear.x,field.twist.twist.linear.y,field.twist.twist.angular.z"
     place, turn = "field.pose.pose.position", "field.pose.pose.orientation"
-    names += "".join(f",{place}.{axis}" for axis in "xyz") + "".join(f",{turn}.{axis}" for axis in "xyzw")
-    rows = [(int(t * 1e9) + 10**18, k, v, 0.0, w, *(7 * [0.5])) for k, (t, v, w) in enumerate(ODOMETRY)]
+    names += ",field.twist.twist.angular.x" + "".join(f",{place}.{axis}" for axis in "xyz")
+    names += "".join(f",{turn}.{axis}" for axis in "xyzw")
+    rows = [(int(t * 1e9) + 10**18, k, v, 0.0, w, *(8 * [0.5])) for k, (t, v, w) in enumerate(ODOMETRY)]
     log = load(drive(odometry=text(names, rows), recipe="[odometry]\nclock = -1e9\n"))
     np.testing.assert_array_equal(log.controls[:, 1], expected.controls[:, 1])
+    tags = text("t,id,pose.position.x,pose.position.y,pose.orientation.x", [(*row, 0.0) for row in SEEN])
+    assert load(drive(odometry=text("t,nu,omega", ODOMETRY), sightings=tags, recipe="")).num_poses == 6
+    with pytest.raises(LogError, match="no column for nu .* it has t, accel_x, accel_y, yaw"):
+        load(drive(odometry=text("t,accel_x,accel_y,yaw", [(*row, 0.0) for row in ODOMETRY])))
     imu = text("t,speed,angular_velocity.x,angular_velocity.z", [(t, v, 9.0, w) for t, v, w in ODOMETRY])
-    np.testing.assert_array_equal(load(drive(odometry=imu, recipe="")).controls, expected.controls)
+    np.testing.assert_array_equal(load(drive(odometry=imu)).controls, expected.controls)
 
 
 def test_the_truth_may_be_of_an_antenna(drive):
