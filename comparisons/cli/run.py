@@ -315,7 +315,7 @@ def sweep(
 
 def study(
     output: Output,
-    words: Annotated[list[str], argument("DATABASE", "The database of a study, or the study file that names it.")],
+    path: Annotated[Path, argument("DATABASE", "The database of a study, or the study file that names it.")],
     *,
     options: declared.SummaryOptions,
 ) -> None:
@@ -328,18 +328,11 @@ def study(
         slam-compare study study.sqlite --baseline fastslam1 --figure study.pdf
         slam-compare study study.sqlite --csv runs.csv --jsonl runs.jsonl
     """
-    from graphslam import OptionError
-
     from ..show.tables import write_latex
     from ..studies.execute import StudyDatabase
     from ..studies.plan import read_study
     from ..studies.summary import summarise, write_csv, write_json_lines, write_summary_csv
 
-    if len(words) == 2 and words[0].lower() == "show":
-        words = words[1:]
-    if len(words) != 1:
-        raise OptionError("give one database: slam-compare study study.sqlite")
-    path = Path(words[0])
     with StudyDatabase.reading(read_study(path).database if path.suffix == ".toml" else path) as database:
         rows, (_, others) = database.rows(), database.counts()
         summary = summarise(database, baseline=options.baseline)

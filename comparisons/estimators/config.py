@@ -16,7 +16,7 @@ from typing import Any
 from urllib.parse import unquote_to_bytes
 
 from graphslam import OptionError, sample_log_path
-from graphslam.files import check_file, path_of
+from graphslam.files import path_of
 from graphslam.maps.landmark_map import as_map
 
 from ..options import AUTO, BOOK, MODELS, LimitOptions, RunOptions, options_of
@@ -117,9 +117,6 @@ def _path_of(text: str | Path) -> Path:
 def check_unchanged(logs: Sequence[Path | None], sha256: str) -> None:
     """Raise `OptionError` unless the content of logs (None: the sample log) has this SHA-256."""
     paths = [sample_log_path() if log is None else log for log in logs]
-    for path in paths:
-        if not path.is_dir():
-            check_file(path)
     if sha256_of(*paths) != sha256:
         raise OptionError(
             f"{' or '.join(map(str, paths))} has changed since the configuration was saved (SHA-256); take the key "

@@ -32,6 +32,7 @@ from fastslam.particles import FilterResult
 from graphslam import FormatError, Log, LogError
 from graphslam.errors import printable
 from graphslam.files import check_file
+from graphslam.identification.corrections import honest_variances, without_biases
 from graphslam.identification.declared import CORRECTIONS, of_sensor_alone
 from graphslam.metrics import ate
 
@@ -123,6 +124,10 @@ def _execute(run: Run, log: Log) -> dict[str, Any]:
             corrections = of_sensor_alone(corrections)
         # as with --noise FILE: what is known of the robot checks the ids
         options = {"check_ids": True, **corrections, **options, "motion": motion, "sensor": sensor}
+        if log.controls is not None:
+            biases = {name: value for name, value in options.items() if name in CORRECTIONS}
+            corrected = without_biases(log, motion=motion, sensor=sensor, **biases)
+            log = log.replace(control_variances=honest_variances(corrected))
     comparison = compare(log, RunOptions.of(**options, seed=run.seed), estimators=[run.estimator])
     result = comparison.results[0]
     # not the rows of the table: they have NEES, too, for which covariances would be computed

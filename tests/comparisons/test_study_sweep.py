@@ -325,6 +325,15 @@ def test_a_noise_file_does_in_a_study_what_it_does_in_a_run(make: Callable[..., 
         assert row["cost"] == by_hand.table[0].cost
 
 
+def test_a_study_knows_changes_within_rows_without_a_check_of_ids(make: Callable[..., Study], tmp_path: Path) -> None:
+    (tmp_path / "noise.toml").write_text("[motion]\nnn = 0.01\n[odometry]\nwheel_scale = 1.02\n")
+    save(Drive(seed=4, duration=60.0, landmarks=20, odometry_rate=1.0).simulate()[0], tmp_path / "a.npz")
+    study = make("logs = ['a.npz']\nestimators = ['graph']\n[options]\nnoise = 'noise.toml'\ncheck_ids = false\n")
+    sweep(study, jobs=0)
+    by_hand = run_by_hand(tmp_path / "a.npz", estimators=["graph"], noise=tmp_path / "noise.toml", check_ids=False)
+    assert rows(study.database)[0]["cost"] == by_hand.table[0].cost
+
+
 def test_jobs_or_a_cluster(make: Callable[..., Study]) -> None:
     with pytest.raises(OptionError, match="not both"):
         sweep(make(SMALL), jobs=1, dask="tcp://127.0.0.1:1")
