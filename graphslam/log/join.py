@@ -72,22 +72,20 @@ def positions_of(table: Table, options: TableOptions) -> Timed:
     table = reader.leave_out(*columns)
     ns = reader.times()
     plain, datum = reader.numbers(*columns), np.full(3, np.nan)
+
+    def given(role: str, *, finite: bool = True) -> Array:
+        return reader.numbers(role, finite=finite) if reader.has(role) else np.zeros((len(plain), 1))
+
     if columns[0] == "latitude":
         if (k := first(np.abs(plain[:, 0]) > 90)) is not None:
             raise table.error(k, f"{plain[k, 0]:g} is no latitude in degrees; are latitude and longitude exchanged?")
-        earliest = np.argmin(ns)
-        height = reader.numbers("altitude", finite=False)[earliest] if reader.has("altitude") else np.zeros(1)
-        datum = np.append(plain[earliest], np.nan_to_num(height))
+        datum = np.hstack([plain, np.nan_to_num(given("altitude", finite=False))])[np.argmin(ns)]
         plain, plane = local_plane(plain, datum), (datum_note(datum, f"the first fix of {table.source}"),)
     places = np.column_stack([plain, _headings(reader)])
     covariances = _noise(reader, np.isfinite(places[:, 2]))
-    levers = np.zeros((len(ns), 2))
-    for column, role in enumerate(("lever_x", "lever_y")):
-        if reader.has(role):
-            levers[:, column] = reader.numbers(role)[:, 0]
+    rows = [places, covariances.reshape(-1, 9), given("lever_x"), given("lever_y"), np.tile(datum, (len(ns), 1))]
     ns, order, notes = ordered(reader.table, ns)
-    rows = np.column_stack([places, covariances.reshape(-1, 9), levers, np.tile(datum, (len(ns), 1))])[order]
-    return Timed(table, ns, rows, reader.described(), notes=(*notes, *plane))
+    return Timed(table, ns, np.hstack(rows)[order], reader.described(), notes=(*notes, *plane))
 
 
 def _headings(reader: Reader) -> Array:

@@ -121,8 +121,7 @@ def join_logs(logs: Sequence[Log], *, mean_noise: bool = False, placed: bool = F
         logs = with_common_noise(logs, [None if each is None else each.inflation for each in estimates])
     for each in logs:
         _check(each, logs[0])
-    datums = [each.positions.datum for each in logs if each.positions is not None]
-    datum = next((each for each in datums if each is not None), None)
+    datum = next((d for each in logs if each.positions and (d := each.positions.datum) is not None), None)
     logs = [with_datum(each, datum, "the first fix of an earlier log") for each in logs]
     if len(logs) > 1 and not all(each.identified for each in logs):
         joined, starts = joined_without_ids(logs)
