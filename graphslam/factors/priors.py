@@ -5,15 +5,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import cos, sin
 
 import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..edges.priors import Way
 from ..errors import OptionError, checks, quoted
+from ..se2 import Array
 from .arguments import PoseLike, positive_definite
 from .base import KINDS, POSE, Coordinates, Factor, KernelLike, Linearized, kinds_of, listed_keys, noise_model, wrapped
 
@@ -72,12 +72,11 @@ class PriorFactor(Factor):
             raise OptionError(
                 "a pivot needs values at two places or more, which have an angle together: leave it out here"
             )
-
-        def turning(*nodes: Coordinates) -> Linearized:
-            way = Way.of(np.array([(*node, 0.0)[:3] for node in nodes]), held, centre)
-            return way.v[about], np.split(way.jacobian()[np.ix_(about, has)], ends, axis=1)
+        turning = None if centre is None else _turning(held, complex(*centre), about, has, ends)
 
         def residual(*nodes: Coordinates) -> Linearized:
+            if turning is not None:
+                return turning(nodes)
             e: list[float] = []
             for at, (x, y, theta), n in zip(nodes, rows, used):
                 e += [at[0] - x, at[1] - y] + ([wrapped(at[2] - theta)] if n == 3 else [])
@@ -87,7 +86,34 @@ class PriorFactor(Factor):
             "values": held, "information": omega, "coordinates": np.array(used), "points": points,
             "pivot": centre, "kernel": kernel,
         }  # fmt: skip
-        super().__init__(keys, kinds, residual if centre is None else turning, arguments, information=omega)
+        super().__init__(keys, kinds, residual, arguments, information=omega)
+
+
+def _turning(
+    held: Array, centre: complex, about: np.ndarray, has: np.ndarray, ends: np.ndarray
+) -> Callable[[Sequence[Coordinates]], Linearized]:
+    """The residual of a prior that turns with its keys, in complex numbers."""
+    places = held[:, 0] + 1j * held[:, 1]
+    arms, spread = places - centre, np.conj(places - places.mean())
+
+    def residual(nodes: Sequence[Coordinates]) -> Linearized:
+        at = np.array([(*node, 0.0)[:3] for node in nodes])
+        x = at[:, 0] + 1j * at[:, 1]
+        fit = spread @ x
+        theta = float(np.angle(fit))
+        back = np.exp(-1j * theta)
+        way = back * (x - centre) - (1 - 1j * theta) * arms
+        e = np.column_stack([way.real, way.imag, [wrapped(heading) for heading in at[:, 2] - held[:, 2]]])
+        by_theta = 1j * (arms - back * (x - centre))
+        theta_by = spread / fit
+        jacobian = np.kron(np.eye(len(x)), [[back.real, -back.imag, 0], [back.imag, back.real, 0], [0, 0, 1]])
+        jacobian += np.outer(
+            np.column_stack([by_theta.real, by_theta.imag, np.zeros(len(x))]),
+            np.column_stack([theta_by.imag, theta_by.real, np.zeros(len(x))]),
+        )
+        return e.ravel()[about], np.split(jacobian[np.ix_(about, has)], ends, axis=1)
+
+    return residual
 
 
 class AnchorFactor(Factor):
