@@ -360,7 +360,7 @@ def _local(
         start.odometry = Odometry(noisier)
         return fit(Unknowns(noisier, episodes, sensor, start), ROUNDS[1])[0]
 
-    local, log, slips, _ = without_slips(local, log, slip_of_drive, again)
+    local, log, slips, _ = without_slips(local, log, slip_of_drive, again, gain_over)
     doubtful = alone.copy()
     doubtful[np.flatnonzero(local.used)] |= local.linearized().edges[1].squares > CONTRADICTS
     return log, local, doubtful, alone, slips

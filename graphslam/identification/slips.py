@@ -51,8 +51,9 @@ Found = tuple["Slip | None", float]
 CELL, CELLS, ROUGH_CELLS = 1.0, 120, 30
 #: the longest stretch, as a part of the drive
 LONGEST = 1 / 3
-#: a stretch whose z is above this has an error of its own; see docs/decisions.md
-SLIPPED = 6.0
+#: a stretch whose z is above this has an error of its own; and one above the second number where the likelihood gains enough
+#: with it: weights of Student's t make the z of large errors small; see docs/decisions.md
+SLIPPED, SUSPECTED = 6.0, 4.0
 #: an error beyond so many times the largest speed, or turn rate, is none of wheels or gyroscopes
 FASTEST = 3.0
 #: the most stretches of one drive, and the part of it that they may have together
@@ -364,7 +365,11 @@ def _differences(solved: Unknowns) -> tuple[Array, Array, Array]:
 
 
 def without_slips(
-    problem: Problem, log: Log, test: Callable[[Problem], Found], again: Callable[[Problem, Log], Problem | None]
+    problem: Problem,
+    log: Log,
+    test: Callable[[Problem], Found],
+    again: Callable[[Problem, Log], Problem | None],
+    gain: Callable[[Problem, Problem], float] | None = None,
 ) -> tuple[Problem, Log, tuple[Slip, ...], Slip | None]:
     """The problem of a log in which the stretches with errors of their own have more noise, these stretches, and another one
     that stays in it, if any.
@@ -372,13 +377,14 @@ def without_slips(
     Args:
         test: the largest slip of a solved problem.
         again: the problem solved with another log; None where that explains too little of what is wrong.
+        gain: the log likelihood of a problem over that of another one, by which stretches above `SUSPECTED` are judged.
 
     One stays where its error is beyond all speeds, where the problem has no solution without it, or where it is one too many.
     """
     found: tuple[Slip, ...] = ()
     first, recorded = problem, log
     slip, usual = test(problem)
-    while slip is not None and slip.z > SLIPPED:
+    while slip is not None and slip.z > (SLIPPED if gain is None else SUSPECTED):
         assert log.controls is not None
         if len(found) == MOST or slip.rate > FASTEST * np.abs(log.controls[:, slip.column]).max():
             # a robot that was carried far, or other units
@@ -390,7 +396,12 @@ def without_slips(
             break
         following, left = (None, np.inf) if trial is None else test(trial)
         z = slip.z / max(1.0, left)
-        if trial is None or z < SLIPPED:
+        surely = z >= SLIPPED
+        if not surely and trial is not None and gain is not None and z >= SUSPECTED:
+            # without the slip as many rounds as with it
+            same = again(problem, log)
+            surely = same is not None and gain(trial, same) > GAINED
+        if trial is None or not surely:
             slip = None
             break
         problem, log, found = trial, noisier, (*found, replace(slip, z=z))

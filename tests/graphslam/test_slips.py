@@ -14,6 +14,7 @@ from graphslam.identification import slips
 from graphslam.identification.robot import with_checked_ids
 from graphslam.log.join import end_to_end
 from graphslam.metrics import ate
+from graphslam.simulation.worlds import SENSORS
 from graphslam.solvers import contradictions
 
 ROBOT = {"motion": MotionModel(nn=0.05, on=0.03, oo=0.05), "sensor": SensorModel(range_rate=0.02, bearing_std=0.02)}
@@ -165,3 +166,25 @@ def test_a_slip_has_the_error_as_its_standard_deviation():
     more = slips.with_slip(log, slip).control_variances
     assert np.flatnonzero(more.any(axis=1)).tolist() == list(range(10, 20))
     assert np.sum(more[:, 0] * log.dt**2) == pytest.approx((0.3 * (slip.end - slip.begin)) ** 2)
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+def test_a_slip_that_the_weights_make_small_is_found_by_the_likelihood(seed, monkeypatch):
+    robot = Drive(
+        seed=seed,
+        duration=120.0,
+        landmarks=40,
+        misread=0.0,
+        sensor_rate=2.0,
+        odometry_rate=20.0,
+        sensor=SENSORS["laser"],
+    )
+    log = robot.simulate()[0]
+    ends, controls = np.cumsum(log.dt), log.controls.copy()
+    controls[(ends > 60.0) & (ends <= 62.5), 0] *= 1.8
+    log = log.replace(controls=controls)
+    log = log.replace(initial_poses=log.dead_reckoning())
+    (slip,) = estimate_robot(log).slips
+    assert slip.z < slips.SLIPPED and slip.begin < 62.5 and slip.end > 60.0
+    monkeypatch.setattr(slips, "SUSPECTED", slips.SLIPPED)
+    assert not estimate_robot(log).slips
