@@ -86,10 +86,10 @@ def test_bad_input() -> None:
 
 @pytest.mark.nightly
 def test_the_time_limit_ends_one_run_and_no_other():
-    # a billion moves of particles do not fit into a second
+    # a billion moves of particles do not fit into six seconds, and five thousand do on a busy machine, too
     log = simulate(seed=1, steps=5000)
-    study = study_particles(log, filters=["fastslam1"], particles=[1, 300_000], seeds=1, jobs=1, time_limit=1.0)
+    study = study_particles(log, filters=["fastslam1"], particles=[1, 300_000], seeds=1, jobs=1, time_limit=6.0)
     assert [(run["options"]["particles"], run["status"]) for run in study.runs] == [(1, DONE), (300_000, TIMEOUT)]
-    late = "fastslam1 particles=300000 with the random seed 0 has no result: it was stopped at the time limit of 1 s."
+    late = "fastslam1 particles=300000 with the random seed 0 has no result: it was stopped at the time limit of 6 s."
     assert tables_of(study)[1] == [late]
-    assert study.to_json()["summary"]["errors"] == {"it was stopped at the time limit of 1 s": 1}
+    assert study.to_json()["summary"]["errors"] == {"it was stopped at the time limit of 6 s": 1}
