@@ -426,6 +426,6 @@ def without_found(
     variances = honest_variances(corrected)
     corrected = corrected.replace(initial_poses=corrected.dead_reckoning(), control_variances=variances)
     return corrected, ParameterEstimate(
-        tuple(names), parameters.values[free], last.linearized_for_gaussian_errors().covariance[np.ix_(free, free)],
+        tuple(names), parameters.values[free], last.parameter_covariance()[np.ix_(free, free)],
         {name: (m, s) for name, m, s in zip(names, means, deviations)},
     )  # fmt: skip

@@ -24,7 +24,7 @@ from ..errors import named
 from ..log import UNIDENTIFIED, Log
 from ..se2 import Array
 from .odometry import Edges, ordinary, sighting_times
-from .unknowns import RANGE, Linear, Unknowns
+from .unknowns import RANGE, Unknowns
 
 #: samples of the covariance of the solution
 SAMPLES = 24
@@ -79,15 +79,11 @@ OF_KIND = {
 
 
 class Predictions:
-    """What a solved drive predicts for sightings of its landmarks.
+    """What a solved drive predicts for sightings of its landmarks."""
 
-    Args:
-        linear: the linear problem whose covariances count; that of the solution unless others are given.
-    """
-
-    def __init__(self, unknowns: Unknowns, rng: np.random.Generator, linear: Linear | None = None) -> None:
+    def __init__(self, unknowns: Unknowns, rng: np.random.Generator) -> None:
         self._unknowns = unknowns
-        linear = linear or unknowns.linearized()
+        linear = unknowns.linearized()
         self._nodes, self._values = linear.samples(SAMPLES, rng)
 
     def compare(self, log: Log, rows: np.ndarray, landmarks: np.ndarray) -> tuple[Edges, Array]:
@@ -266,9 +262,7 @@ def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.
     rows = rows[order]
     if len(rows) < FEWEST:
         return np.full(len(LAGS) - 1, np.nan)
-    # covariances are subtracted from products of errors, so that too small ones would look like errors that last
-    predictions = Predictions(unknowns, rng, unknowns.linearized_for_gaussian_errors())
-    edges, errors = predictions.compare(log, rows, np.searchsorted(unknowns.ids, log.landmarks[rows]))
+    edges, errors = Predictions(unknowns, rng).compare(log, rows, np.searchsorted(unknowns.ids, log.landmarks[rows]))
     noise = np.sqrt(np.diagonal(unknowns.covariances(edges), axis1=1, axis2=2))
     e, errors = edges.residuals / noise, errors / noise[:, :, None]
     far = np.minimum(1.0, FAR / np.maximum(np.abs(e), 1e-9))

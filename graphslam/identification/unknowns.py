@@ -71,7 +71,7 @@ DEGREES_SIGHTINGS, DEGREES_MOTIONS = 4.0, 8.0
 #: the squared scale of Student's t over the variance of the Gaussian errors of d numbers to which it is fitted: the s² of
 #: E[(nu + d) q / (nu s² + q)] = d, q chi-squared with d degrees of freedom; of sightings by d, and of motions
 OF_GAUSSIAN_SIGHTINGS, OF_GAUSSIAN_MOTIONS = {1: 0.6906, 2: 0.7267, 3: 0.7559}, 0.8389
-#: the information of its edges over that of the solution, see `Unknowns.linearized_for_gaussian_errors`
+#: the information of its edges over that of the solution, see `Unknowns.parameter_covariance`
 OVERSTATED_SIGHTINGS, OVERSTATED_MOTIONS = {1: 1.622, 2: 1.552, 3: 1.495}, 1.259
 #: where nothing speaks against exact odometry, its noise has this part of the estimate (docs/decisions.md)
 EXACT = 1 / 3
@@ -351,8 +351,8 @@ class Unknowns:
         sightings.weigh(self.covariances(sightings), self.numbers, DEGREES_SIGHTINGS, self.hidden[1])
         return Linear(self, (motions, sightings))
 
-    def linearized_for_gaussian_errors(self) -> Linear:
-        """The linear problem at the current values, whose covariances are those for Gaussian errors.
+    def parameter_covariance(self) -> Array:
+        """The covariance (K, K) of the parameters, for Gaussian errors.
 
         For errors e ~ N(0, I), the solution of sum psi(e) = 0, psi = u e / s², has the information A² / V an edge, with
         A = E[tr dpsi/de] / d and V = E[psi' psi] / d. The normal equations have E[u] / s² instead.
@@ -362,7 +362,7 @@ class Unknowns:
         edges = self.linearized().edges
         for each, part in zip(edges, (OVERSTATED_MOTIONS, OVERSTATED_SIGHTINGS[self.numbers])):
             each.information /= part
-        return Linear(self, edges)
+        return Linear(self, edges).covariance
 
     def hide(self, linear: Linear) -> list[Array]:
         """Set what edges hide (`hidden`); and F (E, d, d) of motions and sightings."""

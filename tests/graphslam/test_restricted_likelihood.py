@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from graphslam import Drive, SensorModel, estimate_robot
+from graphslam import Drive, SensorModel
 from graphslam.identification import restricted_likelihood
 from graphslam.identification import unknowns as unknowns_module
 from graphslam.identification.declared import KINDS, PLACE
@@ -22,7 +22,6 @@ from graphslam.identification.unknowns import (
     Linear,
     Unknowns,
 )
-from graphslam.simulation.worlds import SENSORS
 
 
 def test_the_jacobians_are_those_of_finite_differences() -> None:
@@ -165,7 +164,7 @@ def test_standard_errors_are_those_of_gaussian_errors() -> None:
     unknowns.iterate(5)
     p = unknowns.parameters
     unknowns.parameters = replace(p, deviations=np.full(len(p), 1e3))
-    claimed, honest = unknowns.linearized().covariance, unknowns.linearized_for_gaussian_errors().covariance
+    claimed, honest = unknowns.linearized().covariance, unknowns.parameter_covariance()
     ratios = np.linalg.eigvals(np.linalg.solve(claimed, honest)).real
     assert ratios.min() > unknowns_module.OVERSTATED_MOTIONS - 1e-3
     assert ratios.max() < unknowns_module.OVERSTATED_SIGHTINGS[2] + 1e-3
@@ -195,18 +194,3 @@ def test_biases_that_the_log_does_not_tell_stay_uncertain(monkeypatch: pytest.Mo
     expected = np.sqrt(deviations / (priors + deviations)) * deviations
     assert np.all(held[~told] > expected[~told]) and np.all(held[~told] < 1.01 * expected[~told])
     assert np.all(held[told] < 0.02 * priors[told])
-
-
-@pytest.mark.parametrize("seed", [1, 16, 19])
-def test_independent_errors_of_few_sightings_do_not_seem_to_last(seed: int) -> None:
-    robot = Drive(
-        seed=seed,
-        duration=100.0,
-        landmarks=40,
-        misread=0.0,
-        sensor_rate=2.0,
-        odometry_rate=20.0,
-        sensor=SENSORS["laser"],
-    )
-    # with the covariances of the weights of Student's t, which are too small, 2.8 to 4.5 sightings counted as one
-    assert estimate_robot(robot.simulate()[0]).inflation == 1.0
