@@ -143,6 +143,11 @@ def test_the_place_of_the_sensor(drive):
     )
 
 
+def test_true_is_no_place_of_the_sensor(drive):
+    with pytest.raises(FormatError, match=r"import.toml:1: sensor_offset must be \(ahead, to the left\) in m"):
+        load(drive(recipe="sensor_offset = true\n"))
+
+
 def test_psi_from_the_centre_of_the_robot_turns_with_the_bearing(drive):
     """psi = theta + phi - m_theta, so that the heading of a landmark is the same from the centre and from the sensor."""
     tables = [drive(sightings=text("t,id,range,bearing,orientation", [(*row, 0.4) for row in SEEN])) / "odometry.csv"]
