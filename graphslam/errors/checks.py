@@ -159,7 +159,8 @@ def checked_offset(name: str, value: Any) -> tuple[float, float]:
     Raises:
         OptionError: it is neither, or not finite.
     """
-    offset = array_or_none(value)
+    # True is no distance
+    offset = None if isinstance(value, bool) else array_or_none(value)
     if offset is not None and offset.size == 1:
         offset = np.array([offset.item(), 0.0])
     if offset is None or offset.shape != (2,) or not np.all(np.isfinite(offset)):

@@ -103,8 +103,8 @@ class Reader:
     def __init__(self, kind: str, table: Table, options: TableOptions) -> None:
         self.kind, self.table, self.options = kind, table, options
         self.used: dict[str, None] = {}
-        # robots with four wheels have their motion in other columns
-        dispensable = WHEELS if options.track is None else ()
+        # robots with four wheels have their motion in other columns, and receivers may tell several heights
+        dispensable = ("altitude", *(WHEELS if options.track is None else ()))
         self.found = find(kind, table, ROLES[kind], options.columns_of(kind), ORDERS[kind], dispensable)
         if len(table) == 0:
             raise table.error(None, f"there is no row of {kind} in it")

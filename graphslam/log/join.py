@@ -73,19 +73,29 @@ def positions_of(table: Table, options: TableOptions) -> Timed:
     ns = reader.times()
     plain, datum = reader.numbers(*columns), np.full(3, np.nan)
 
-    def given(role: str, *, finite: bool = True) -> Array:
-        return reader.numbers(role, finite=finite) if reader.has(role) else np.zeros((len(plain), 1))
+    def given(role: str) -> Array:
+        return reader.numbers(role) if reader.has(role) else np.zeros((len(plain), 1))
 
     if columns[0] == "latitude":
         if (k := first(np.abs(plain[:, 0]) > 90)) is not None:
             raise table.error(k, f"{plain[k, 0]:g} is no latitude in degrees; are latitude and longitude exchanged?")
-        datum = np.hstack([plain, np.nan_to_num(given("altitude", finite=False))])[np.argmin(ns)]
+        datum = np.column_stack([plain, _altitudes(reader)])[np.argmin(ns)]
         plain, plane = local_plane(plain, datum), (datum_note(datum, f"the first fix of {table.source}"),)
     places = np.column_stack([plain, _headings(reader)])
     covariances = _noise(reader, np.isfinite(places[:, 2]))
     rows = [places, covariances.reshape(-1, 9), given("lever_x"), given("lever_y"), np.tile(datum, (len(ns), 1))]
     ns, order, notes = ordered(reader.table, ns)
     return Timed(table, ns, np.hstack(rows)[order], reader.described(), notes=(*notes, *plane))
+
+
+def _altitudes(reader: Reader) -> Array:
+    """The altitudes (N,) [m]; 0 where they are not known, as with words or feet: 100 m move positions by 1 part in 60,000."""
+    if reader.has("altitude"):
+        try:
+            return np.nan_to_num(reader.numbers("altitude", finite=False)[:, 0], posinf=0.0, neginf=0.0)
+        except LogError:
+            reader.used.pop("altitude", None)
+    return np.zeros(len(reader.table))
 
 
 def _headings(reader: Reader) -> Array:

@@ -228,7 +228,7 @@ def synchronize(
         truth: poses (G, 3), interpolated in SE(2), or positions (G, 2), interpolated along lines.
         relations: at the time of the first pose: (time of the second pose, dx, dy, dtheta, C), C the nine numbers of the
             covariance. There are poses at the times of relations and positions, too.
-        positions: (x, y, theta, C, lever, datum).
+        positions: (x, y, theta, C, lever), or (x, y, theta, C, lever, datum).
         truth_offset: the point of the robot to which the truth belongs, see `Log`.
         true_landmarks: {id: position}.
         classes: (K,) what each sighting looks like, see `Log`.
@@ -347,8 +347,10 @@ def _relations(stream: Stream, times: Array) -> PoseRelations:
 def _positions(stream: Stream, times: Array) -> AbsolutePositions:
     """The positions of a log with poses at ``times`` (T+1,)."""
     steps, rows = np.searchsorted(times, stream.times), np.split(stream.rows, [3, 12, 14], axis=1)
-    C = rows[1].reshape(-1, 3, 3)
-    return AbsolutePositions(steps=steps, places=rows[0], covariances=C, levers=rows[2], datums=rows[3])
+    datums = {"datums": rows[3]} if rows[3].shape[1] else {}
+    return AbsolutePositions(
+        steps=steps, places=rows[0], covariances=rows[1].reshape(-1, 3, 3), levers=rows[2], **datums
+    )
 
 
 _READERS: dict[str, Callable[[Stream, Array], Any]] = {"relations": _relations, "positions": _positions}

@@ -220,7 +220,7 @@ _NAMES = {
     "qw": "qw q_w orientation_w rotation_w",
     "id": (
         "id landmark landmark_id lm lm_id tag tag_id marker marker_id beacon beacon_id fiducial_id feature "
-        "feature_id barcode label class_id target target_id subject ident number name"
+        "feature_id barcode label class_id target target_id subject ident number name landmarkid tagid markerid"
     ),
     "class": "class class_name class_label colour color colour_name color_name category class_id kind type",
     "range": "range r distance dist rho l d ranges",
@@ -258,6 +258,7 @@ _OTHER_NAMES = _words(
     "angular_x angular_y angular_velocity_x angular_velocity_y gyro_x gyro_y acceleration_x acceleration_y accel_x accel_y "
     "acc_x acc_y"
 )
+_KNOWN = {name for names in NAMES.values() for name in names}
 #: names too short or too general to be recognised at the end of a longer one
 WHOLE = _words("v w r l d b kind type std sx sy t1 t2 lat lon lng long")
 _UNITS = {
@@ -288,7 +289,9 @@ RATES = ("left", "right", "nu", "vy", "omega")
 #: what each column measures, a key of `rows.UNITS_OF`
 MEASURES = {
     **dict.fromkeys(("t", "t1", "t2"), "time"),
-    **dict.fromkeys(_words("left right nu vy x y z range dx dy sigma sigma_x sigma_y lever_x lever_y"), "lengths"),
+    **dict.fromkeys(
+        _words("left right nu vy x y z range dx dy sigma sigma_x sigma_y altitude lever_x lever_y"), "lengths"
+    ),
     **dict.fromkeys(_words("omega theta bearing orientation dtheta sigma_theta"), "angles"),
 }
 
@@ -308,8 +311,10 @@ def plain(name: str) -> tuple[str, str | None]:
         # per second may be "s^-1"
         stated, name = re.sub(r"\s+(s|h|min)\s*\^?[-−]1$", r"/\1", match[1].lower()), name[: match.start()]
         unit = UNITS.get(stated, stated if stated in OTHER_UNITS else None)
-    # "tagId" and "yawRate" are two words
-    name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+    # "sensorId" and "yawRate" are two words, and "timeStamp" and "nSec" are names as they stand
+    if name.strip().lower() not in _KNOWN:
+        name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name)
+    name = name.lower()
     words = [word for word in re.split(r"[^0-9a-z°%µμ]+", name.replace("%", "")) if word]
     if words[-2:] == ["km", "h"]:
         words[-2:] = ["kmh"]

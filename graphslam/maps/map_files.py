@@ -117,10 +117,11 @@ def _table(path: Path) -> Parts:
     parts: Parts = {"means": means}
     _check_errors(table)
     if all(name in columns for name in DATUM):
-        datums = np.unique(table.numbers([columns[name] for name in DATUM]), axis=0)
+        datums = table.numbers([columns[name] for name in DATUM])
+        datums = np.unique(datums[np.isfinite(datums).all(axis=1)], axis=0)
         if len(datums) > 1:
             raise table.error(None, "its rows have different datums: make one file of each map")
-        parts["datum"] = datums[0]
+        parts["datum"] = next(iter(datums), None)
     if "var_x" in columns:
         missing = [name for name in COVARIANCE[:3] if name not in columns]
         if missing:
@@ -361,7 +362,8 @@ def _of_entries(path: Path, entries: list[_Entry]) -> Parts:
         "covariances": covariances,
         "classes": classes,
         "correlated": any(entry.get("correlated") is True for entry, *_ in entries),
-        "datum": next((entry["datum"] for entry, *_ in entries if entry.get("datum") is not None), None),
+        # in other programs a datum is the name of an ellipsoid
+        "datum": next((entry["datum"] for entry, *_ in entries if isinstance(entry.get("datum"), list)), None),
     }
 
 

@@ -46,6 +46,12 @@ def test_a_written_map_is_read_exactly(mixed, name, tmp_path):
     assert np.array_equal(LandmarkMap.load(tmp_path / name).datum, with_datum.datum)
 
 
+def test_a_datum_of_other_programs_is_no_obstacle(tmp_path):
+    (tmp_path / "tags.yaml").write_text("tags:\n- {id: 1, x: 0.0, y: 1.0, datum: WGS84}\n")
+    (tmp_path / "map.csv").write_text("id,x,y,datum_latitude,datum_longitude,datum_height\n1,0,1,47,8,\n2,0,2,47,8,\n")
+    assert all(LandmarkMap.load(tmp_path / name).datum is None for name in ("tags.yaml", "map.csv"))
+
+
 @pytest.mark.parametrize("name", ["map.csv", "map.npz", "map.yaml", "map.geojson"])
 def test_classes_that_are_numbers_stay_numbers(name, tmp_path):
     kinds = {1: 1, 2: 1.0, 3: "1", 4: np.int64(-2), 5: "tree", 6: "1.5", 7: "007"}

@@ -54,6 +54,8 @@ def test_the_numbers_are_those_of_the_tables(expected):
         text('"t","id","range","bearing"', SEEN),
         text("t,id,range,bearing", SEEN).encode("utf-16"),
         text("timeStamp,tagId,rangeMillimeters,bearing [rad.]", [(t, j, r * 1000, b) for t, j, r, b in SEEN]),
+        text("t,TAGID,range,bearing", SEEN),
+        text("t,barCode,range,bearing", SEEN),
         text("t,id,range,bearing,comment", [(*row, "seen") for row in SEEN]).replace("'", '"'),
         text("t;id;range;bearing", SEEN, ";").replace(".", ","),
         "\n".join(["t,id,range,bearing", "", "# a comment", *text("", SEEN).splitlines()[1:]]) + "\n\n",
@@ -68,6 +70,8 @@ def test_the_numbers_are_those_of_the_tables(expected):
         "quotes",
         "UTF-16",
         "camel case",
+        "capital letters",
+        "one word",
         "words",
         "comma",
         "blank",
@@ -139,6 +143,11 @@ def test_the_place_of_the_sensor(drive):
     )
 
 
+def test_true_is_no_place_of_the_sensor(drive):
+    with pytest.raises(FormatError, match=r"import.toml:1: sensor_offset must be \(ahead, to the left\) in m"):
+        load(drive(recipe="sensor_offset = true\n"))
+
+
 def test_psi_from_the_centre_of_the_robot_turns_with_the_bearing(drive):
     """psi = theta + phi - m_theta, so that the heading of a landmark is the same from the centre and from the sensor."""
     tables = [drive(sightings=text("t,id,range,bearing,orientation", [(*row, 0.4) for row in SEEN])) / "odometry.csv"]
@@ -193,8 +202,14 @@ def test_times_since_1970_are_exact_to_a_nanosecond(drive):
 
 def test_two_columns_of_a_stamp(drive, expected):
     rows = [(int(t), round(t % 1 * 1e9), j, r, b) for t, j, r, b in SEEN]
-    log = load(drive(sightings=text("header.stamp.sec,header.stamp.nanosec,id,range,bearing", rows)))
-    np.testing.assert_allclose(log.times, expected.times, rtol=1e-12)
+    for names in ("header.stamp.sec,header.stamp.nanosec", "sec,nSec"):
+        log = load(drive(sightings=text(f"{names},id,range,bearing", rows)))
+        np.testing.assert_allclose(log.times, expected.times, rtol=1e-12)
+
+
+def test_rows_that_arrive_together_are_no_other_unit(drive, expected):
+    bursts = [(T[k - k % 3] + 2e-5 * (k % 3), v, w) for k, (_, v, w) in enumerate(ODOMETRY)]
+    assert len(load(drive(odometry=text("t,nu,omega", bursts))).steps) == len(expected.steps)
 
 
 def test_truth_and_map(drive):
@@ -374,8 +389,9 @@ def test_names_of_columns():
     assert plain("t [µs]") == plain("t_μs") == ("t", "us")  # micro sign, Greek letter
     assert plain("range_min") == ("range_min", None)
     assert plain("speed [km h-1]") == ("speed", "km/h")
-    assert plain("yawRate (deg s^-1)") == ("yaw_rate", "degrees")
+    assert plain("turnRate (deg s^-1)") == ("turn_rate", "degrees")
     assert plain("speed [ticks/s]") == ("speed", "ticks/s")
+    assert [plain(name)[0] for name in ("nanoSec", "barCode", "TAGID")] == ["nanosec", "barcode", "tagid"]
 
 
 @pytest.mark.parametrize(
@@ -457,6 +473,16 @@ def test_fixes_of_a_receiver_without_one_are_left_out(drive):
     log = load(drive(positions=text("t,lat,lon,sigma", rows)))
     np.testing.assert_array_equal(log.positions.places[:, :2], 0.0)
     assert any("1 of 21 rows has latitude and longitude 0" in note for note in log.notes)
+
+
+@pytest.mark.parametrize("names", ["alt [ft]", "gps_alt,baro_alt", "alt", "altitude_mm"])
+def test_altitudes_that_cannot_be_read_are_no_obstacle(drive, names):
+    cells = {"alt [ft]": (1312,), "gps_alt,baro_alt": (400.0, 410.0), "alt": ("M",), "altitude_mm": (4e5,)}[names]
+    rows = [(7.25, 60.0, 25.0, 0.1, *cells), (7.5, 60.0, 25.001, 0.1, *cells)]
+    positions = load(drive(positions=text(f"t,lat,lon,sigma,{names}", rows))).positions
+    assert positions.datum.tolist() == [60.0, 25.0, 400.0 if names == "altitude_mm" else 0.0]
+    # with millimetres as metres it was 59.3
+    assert positions.places[1, 0] == pytest.approx(55.8, abs=0.05)
 
 
 def test_masked_numbers_are_none():

@@ -245,3 +245,13 @@ def test_pieces_of_controls_in_files_and_in_errors(tmp_path):
                        sightings=np.zeros((0, 2)), true_poses=None).recorded_dt is None  # fmt: skip
     with pytest.raises(LogError, match="a piece of it"):
         log.replace(recorded_dt=log.dt / 2)
+
+
+def test_positions_need_no_datum():
+    t = np.arange(6.0)
+    rows = np.column_stack(
+        [t, 0 * t, np.full(6, np.nan), np.tile(np.eye(3).ravel(), (6, 1)), np.tile([0.1, 0.2], (6, 1))]
+    )
+    motion, seen = Stream(t, np.full((6, 2), 0.5)), Stream(t, np.full((6, 2), 1.0))
+    positions = synchronize(motion, seen, np.arange(6) % 2, positions=Stream(t[1:5], rows[1:5])).positions
+    assert positions.datum is None and positions.levers[0].tolist() == [0.1, 0.2]
