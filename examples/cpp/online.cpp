@@ -29,7 +29,7 @@ int main(int argc, char** argv) try {
         if (t > 0) {
             const auto [z, omega] = measured(log.controls[t - 1]);
             edges.push_back({pose, system.add_node(), Kind::motion, true, z, omega});
-            pose = edges.back().second;
+            pose = edges.back().ends[1];
         }
         for (const LandmarkSighting& seen : log.sightings) {
             if (seen.step != t) continue;

@@ -51,7 +51,7 @@ def test_from_the_study_file_to_the_figure(invoke: Invoke) -> None:
     assert "study.sqlite: 6 of 6 runs, 6 done now." in result.stdout
     assert "Next: slam-compare study study.sqlite" in result.stdout
 
-    for words in (["study.sqlite"], ["show", "study.sqlite"], ["SHOW", "study.sqlite"], ["study.toml"]):
+    for words in (["study.sqlite"], ["study.toml"]):
         result = invoke("study", *words)
         assert result.exit_code == 0, result.output
         for word in (
