@@ -67,7 +67,7 @@ std::vector<Id> Graph::append(std::span<const NewEdge> added, Id known) {
             node.local = 0;
             touched.push_back(end);
         }
-        const auto [first, second] = edge.ends;
+        const auto& [first, second] = edge.ends;
         Node &i = nodes[first], &j = nodes[second];
         if (second >= place) {
             if (edge.relative()) place_second(edge, i, j);
