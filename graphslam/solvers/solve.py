@@ -23,6 +23,8 @@ from .minimize import at_estimated_ranges, minimize, shortened_ranges, takes_est
 from .solution import Solution, doubted
 
 GNC = "gnc"
+#: the default of the probability of gnc
+PROBABILITY = 0.99
 
 
 def solve(
@@ -34,7 +36,7 @@ def solve(
     initialize: str = "auto",
     callback: Callable[[Iteration], None] | None = None,
     cost_tolerance: float = 0.0,
-    probability: float = 0.99,
+    probability: float = PROBABILITY,
     range_noise: str = "auto",
 ) -> Solution:
     """Minimise the cost J of a graph by the Omega/xi iteration.
@@ -130,7 +132,7 @@ def check_options(
     checks.check_count(max_iterations=max_iterations)
     if not isinstance(probability, Real) or not 0 < probability < 1:
         raise OptionError(f"probability must lie between 0 and 1, not {quoted(probability)}")
-    if method != GNC and probability != signature(solve).parameters["probability"].default:
+    if method != GNC and probability != PROBABILITY:
         raise OptionError(f"the method {method} uses no probability: take method='gnc', or leave it out")
 
 
