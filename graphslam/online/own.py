@@ -5,8 +5,8 @@ J may have several minima: other ends are tried with the whole graph, and the lo
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from functools import partial
 from itertools import repeat
@@ -178,7 +178,7 @@ class OwnBackend(Backend):
         """
         system, poses, columns, waiting = self.system, len(self._poses), self.columns, self._others.waiting
         known, fresh, added = system.num_nodes, list[int](), engine.NewEdges()
-        counted = Counter({(measured.shape[1], True): len(landmarks)})
+        counted = defaultdict[tuple[int, bool], int](int, {(measured.shape[1], True): len(landmarks)})
         windows = self._windows
         if (
             self.lag is not None
@@ -263,7 +263,7 @@ class OwnBackend(Backend):
         added.add(Kind.position, ends, measured[None], information[None], lever[None], doubted)
         if not system.add(system.num_nodes, added, self._poses[-1:]):
             raise GraphError("with this position the graph is not determined, so that nothing was added")
-        self._count(pose, Counter({(len(measured), doubted): 1}))
+        self._count(pose, {(len(measured), doubted): 1})
         self._others.positions.append((pose, measured, information, lever))
         if self.lag is None:
             nodes = [*self._poses, *self._landmarks.values()]
@@ -377,9 +377,10 @@ class OwnBackend(Backend):
             self._poses = [number[node] for node in self._poses]
             self._landmarks = {key: number[node] for key, node in self._landmarks.items()}
 
-    def _count(self, pose: int, measured: Counter[tuple[int, bool]]) -> None:
+    def _count(self, pose: int, measured: Mapping[tuple[int, bool], int]) -> None:
         """Count what was measured from a pose."""
-        self._measured += measured
+        for numbers, count in measured.items():
+            self._measured[numbers] += count
         if self.lag is not None:
             self._of_poses.setdefault(pose, Counter()).update(measured)
 

@@ -181,8 +181,9 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
     if sighted is None:
         none = np.zeros(0, dtype=np.int64)
         sighted = CartesianObservationEdges(none, none, np.zeros((0, d)), graph.sensor or SensorModel())
-    ids = graph.landmark_ids[sighted.second - total]
-    seen = sighted.relative
+    rows, bounds = _rows_of_steps(total, sighted.first)
+    ids, seen = graph.landmark_ids[sighted.second - total][rows].tolist(), sighted.relative
+    measured, information = seen.measured[rows], seen.information[rows]
 
     log, noise = graph.log, np.linalg.inv(motions.information)
     tracker: Tracker | None = None
@@ -198,24 +199,24 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
             backend.release(np.zeros(3), call, release)
             release = None
 
-    def add(step: int, now: np.ndarray) -> None:
-        arriving: list[tuple[Relation, Kernel | None]] = relations[step]
+    def add(step: int) -> None:
+        now, arriving = slice(bounds[step], bounds[step + 1]), relations[step]
         for ends, _ in arriving:
             solver._check_pose(min(ends[:2]), "a relation from")
         if tracker is not None:
             if step:
                 tracker.pose = backend.pose
                 tracker.move(motions.measured[step - 1], noise[step - 1])
-            if len(now) and log is not None:
-                tracker.see(step, now, ids[now], log.sightings[graph.sighting_rows[now]])
-        whole = ids[now].tolist(), seen.measured[now], seen.information[now]
+            if len(here := rows[now]) and log is not None:
+                tracker.see(step, here, np.array(ids[now]), log.sightings[graph.sighting_rows[here]])
+        whole = ids[now], measured[now], information[now]
         related, doubted = [relation for relation, _ in arriving], [kernel is not None for _, kernel in arriving]
         follow = partial(backend.update, related, step, *whole, numbers[step], doubted=doubted)
         put(follow, known is not None and any(id in known for id in [*whole[0], *(id for id, _ in numbers[step])]))
         for z, kernel in positions[step]:
             put(partial(backend.locate, step, *z, doubted=kernel is not None), True)
 
-    return _steps(solver, total, sighted.first, add)
+    return _steps(solver, total, add)
 
 
 def _first_held(graph: Graph) -> dict[str, Array]:
@@ -312,8 +313,10 @@ def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) ->
     )  # fmt: skip
     backend: Any = solver._backend
     relations, positions = _arriving(graph, motions)
+    rows, bounds = _rows_of_steps(log.num_poses, log.steps)
 
-    def add(step: int, now: np.ndarray) -> None:
+    def add(step: int) -> None:
+        now = rows[bounds[step] : bounds[step + 1]]
         for relation, kernel in relations[step]:
             backend.add_relation(relation, kernel)
         backend.add_sightings(step, log.landmarks[now].tolist(), sightings[now])
@@ -323,22 +326,24 @@ def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) ->
             backend.add_position(step, *z, kernel)
         backend.update()
 
-    return graph, _steps(solver, log.num_poses, log.steps, add)
+    return graph, _steps(solver, log.num_poses, add)
 
 
-def _steps(
-    solver: OnlineSolver, total: int, seen_from: np.ndarray, add: Callable[[int, np.ndarray], None]
-) -> Iterator[OnlineSolver]:
-    """Add the motion to each step and the sightings from there (M,), and yield the solver.
+def _rows_of_steps(total: int, seen_from: np.ndarray) -> tuple[np.ndarray, list[int]]:
+    """The rows of sightings from ``total`` steps in the order of these, and where those of each begin and the last end."""
+    rows = np.argsort(seen_from, kind="stable")
+    return rows, np.searchsorted(seen_from[rows], np.arange(total + 1)).tolist()
+
+
+def _steps(solver: OnlineSolver, total: int, add: Callable[[int], None]) -> Iterator[OnlineSolver]:
+    """Add the motion to each step and the sightings from there, and yield the solver.
 
     Raises:
         GraphError: a step cannot be added; with its number.
     """
-    rows = np.argsort(seen_from, kind="stable")
-    bounds = np.searchsorted(seen_from[rows], np.arange(total + 1))
     for step in range(total):
         try:
-            add(step, rows[bounds[step] : bounds[step + 1]])
+            add(step)
         except GraphError as error:
             raise GraphError(f"step {step} of {total - 1}: {error}") from error
         yield solver
