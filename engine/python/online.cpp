@@ -97,6 +97,14 @@ void bind(nb::module_& m) {
         // the values of nodes as the last step left them
         .def("places",
              [](const OnlineSystem& s, const Numbers32& nodes) { return rows_of(s.graph().values(checked(s, nodes))); })
+        // e' W e of edges as the last step left them, without their kernel
+        .def("squares",
+             [](const OnlineSystem& s, std::size_t first, std::size_t count) {
+                 require(first + count <= s.graph().edges.size(), "the online solver has fewer edges");
+                 std::vector<double> found;
+                 for (std::size_t e = first; e < first + count; ++e) found.push_back(s.graph().edges[e].squares);
+                 return found;
+             })
         .def("cost", &OnlineSystem::cost)
         .def("cost_with_priors", &OnlineSystem::cost_with_priors)
         .def("covariance",

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import cos, remainder, sin, tau
 
 import numpy as np
 
@@ -98,8 +97,8 @@ class OtherEnds:
         return moved if abs(wrap(moved[0, 2] - state[0, 2])) > TURNED else None
 
 
-#: a whole sighting: the pose, what is measured (d = 2 or 3) in its axes, and the information (d²)
-Row = tuple[float, ...]
+#: a whole sighting: the pose, what is measured (d = 2 or 3) in its axes, and the information (d, d)
+Row = tuple[int, Array, Array]
 
 
 @dataclass
@@ -119,58 +118,35 @@ class LatestSightings:
     counts: dict[int, int] = field(default_factory=dict)
     tried: dict[int, int] = field(default_factory=dict)
 
-    def add(self, landmarks: Sequence[int], sightings: Sequence[Row]) -> None:
+    def add(self, landmarks: Sequence[int], sightings: Iterable[Row]) -> None:
         """Note the sightings of landmarks."""
         for id, row in zip(landmarks, sightings):
             self.rows.setdefault(id, deque(maxlen=LATEST)).append(row)
             self.counts[id] = self.counts.get(id, 0) + 1
 
-    def contradicted(
-        self, landmarks: Sequence[int], sightings: Sequence[Row], nodes: list[Sequence[float]]
-    ) -> list[int]:
-        """The landmarks that may be elsewhere, because they surprise as they are seen; ``nodes`` are the pose and they."""
-        seen = zip(landmarks, sightings, nodes[1:])
-        far = dict.fromkeys(id for id, row, place in seen if _square(nodes[0], place, row) > MIN_GAP)
+    def contradicted(self, landmarks: Sequence[int], squares: Sequence[float]) -> list[int]:
+        """The landmarks that may be elsewhere, because they surprise: ``squares`` are r² of the sightings."""
+        far = dict.fromkeys(id for id, square in zip(landmarks, squares) if square > MIN_GAP)
         return [id for id in far if id not in self.held and self.counts[id] >= max(2, MORE * self.tried.get(id, 0))]
 
     def steps(self, landmark: int, first: int) -> list[int]:
         """The poses of the latest sightings of a landmark, from number ``first`` on."""
-        return [int(row[0]) for row in self.rows[landmark] if row[0] >= first]
+        return [row[0] for row in self.rows[landmark] if row[0] >= first]
 
     def elsewhere(self, landmark: int, first: int, nodes: Array) -> Array | None:
         """Where its latest sightings from the poses of `steps` put a landmark best; None where it suits them now.
 
         ``nodes`` are these poses, and where it is now. J decides later: other poses may have seen it, too.
         """
-        rows = np.array([row[1:] for row in self.rows[landmark] if row[0] >= first])
-        poses, now, d = nodes[:-1], nodes[-1], _dimension(rows.shape[1])
-        seen = np.zeros((len(rows), 3))
-        seen[:, :d] = rows[:, :d]
+        rows = [row[1:] for row in self.rows[landmark] if row[0] >= first]
+        measured, information = (np.array(each) for each in zip(*rows))
+        poses, now, (count, d) = nodes[:-1], nodes[-1], measured.shape
+        seen = np.zeros((count, 3))
+        seen[:, :d] = measured
         places = np.concatenate([compose(poses, seen), now[None]])
         places[:, d:] = now[d:]
-        costs = self.kernel.of_dimension(d).loss(_squares(poses, places[:, None], rows)).sum(axis=1)
+        e = difference(between(poses, places[:, None])[..., :d], measured)
+        squares = ((e[..., None, :] @ information)[..., 0, :] * e).sum(axis=-1)
+        costs = self.kernel.of_dimension(d).loss(squares).sum(axis=1)
         best = int(np.argmin(costs))
         return places[best] if costs[best] < costs[-1] else None
-
-
-def _dimension(numbers: int) -> int:
-    """d of d + d² numbers."""
-    return 2 if numbers == 6 else 3
-
-
-def _square(pose: Sequence[float], place: Sequence[float], row: Row) -> float:
-    """r² of one sighting; for so few numbers NumPy takes ten times as long."""
-    x, y, c, s = place[0] - pose[0], place[1] - pose[1], cos(pose[2]), sin(pose[2])
-    a, b = c * x + s * y - row[1], c * y - s * x - row[2]
-    if len(row) == 7:
-        return a * a * row[3] + 2 * a * b * row[4] + b * b * row[6]
-    t = remainder(place[2] - pose[2] - row[3], tau)
-    return a * a * row[4] + b * b * row[8] + t * t * row[12] + 2 * (a * b * row[5] + a * t * row[6] + b * t * row[9])
-
-
-def _squares(poses: Array, places: Array, sightings: Array) -> Array:
-    """r² (P, K) of sightings (K, d + d²) of places (P, 1, 3) from poses (K, 3)."""
-    d = _dimension(sightings.shape[1])
-    e = difference(between(poses, places)[..., :d], sightings[:, :d])
-    omega = sightings[:, d:].reshape(-1, d, d)
-    return np.asarray(((e[..., None, :] @ omega)[..., 0, :] * e).sum(axis=-1))

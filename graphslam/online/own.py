@@ -177,8 +177,10 @@ class OwnBackend(Backend):
             GraphError: a pose or landmark is not determined. Nothing is added then.
         """
         system, poses, columns, waiting = self.system, len(self._poses), self.columns, self._others.waiting
-        known, fresh, added = system.num_nodes, list[int](), engine.NewEdges()
-        counted = defaultdict[tuple[int, bool], int](int, {(measured.shape[1], True): len(landmarks)})
+        known, added = system.num_nodes, engine.NewEdges()
+        fresh: list[int] = []
+        seen_first = system.num_edges + len(relations)
+        counted: dict[tuple[int, bool], int] = defaultdict(int, {(measured.shape[1], True): len(landmarks)})
         windows = self._windows
         if (
             self.lag is not None
@@ -199,15 +201,15 @@ class OwnBackend(Backend):
             added.add(kind, ends, z[None], omega[None], doubted=bool(in_doubt) and not created)
         if len(landmarks):
             self.columns = measured.shape[1]
-            ends = np.empty((len(landmarks), 2), np.int32)
-            for k, landmark in enumerate(landmarks):
-                end = self._landmarks.get(landmark)
-                if end is None:
-                    end = self._landmarks[landmark] = system.add_node()
+            for landmark in landmarks:
+                if landmark not in self._landmarks:
+                    self._landmarks[landmark] = system.add_node()
                     fresh.append(landmark)
-                ends[k] = self._node(pose), end
+            node = self._node(pose)
+            ends = np.array([(node, self._landmarks[landmark]) for landmark in landmarks], np.int32)
             added.add(Kind.sighting, ends, measured, information)
-        placed, rows = dict[int, tuple[NumberRow, ...]](), list[tuple[int, NumberRow]]()
+        placed: dict[int, tuple[NumberRow, ...]] = {}
+        rows: list[tuple[int, NumberRow]] = []
         if numbers or places or waiting.rows:
             self._others.waiting = still = waiting.copy()
             for landmark in fresh:
@@ -250,7 +252,8 @@ class OwnBackend(Backend):
         if before is not None and (doubtful := [id for id in doubtful if id in self._others.numbers]):
             self._try_other_places(*before, doubtful)
         if self._latest is not None and len(landmarks):
-            self._try_where_seen(self._latest, pose, landmarks, measured, information)
+            self._latest.add(landmarks, zip(repeat(pose), measured, information))
+            self._try_where_seen(self._latest, landmarks, self.system.squares(seen_first, len(landmarks)))
         while self.lag is not None and len(self._poses) > self.lag + 1:
             self._marginalize()
 
@@ -289,15 +292,9 @@ class OwnBackend(Backend):
                 break
             poses, places = self.poses, {id: self._place(id) for id in places}
 
-    def _try_where_seen(
-        self, latest: LatestSightings, pose: int, landmarks: Sequence[int], measured: Array, information: Array
-    ) -> None:
+    def _try_where_seen(self, latest: LatestSightings, landmarks: Sequence[int], squares: Sequence[float]) -> None:
         """Try landmarks that what is seen now contradicts where their latest sightings put them, and take the lowest J."""
-        omegas = information.reshape(len(measured), -1).tolist()
-        rows = [(pose, *z, *omega) for z, omega in zip(measured.tolist(), omegas)]
-        latest.add(landmarks, rows)
-        nodes = self.system.places([self._node(pose), *[self._landmarks[id] for id in landmarks]]).tolist()
-        for id in latest.contradicted(landmarks, rows, nodes):
+        for id in latest.contradicted(landmarks, squares):
             # sightings from final poses are part of priors
             first, node = self.num_final, self._landmarks[id]
             seen_from = self.system.places([*map(self._node, latest.steps(id, first)), node])

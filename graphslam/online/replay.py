@@ -38,7 +38,7 @@ from ..solvers.iteration import Run
 from ..solvers.joint import motion_edges
 from ..solvers.minimize import AT_MEASURED, takes_estimated_ranges
 from ..solvers.solution import Solution, doubted, make_solution
-from .backend import FREE_START, Relation
+from .backend import FREE_START
 from .solver import OnlineSolver, backend_options
 
 
