@@ -8,7 +8,6 @@ import pytest
 
 from graphslam import GraphError, OnlineSolver, SensorModel
 from graphslam.maps.landmark_map import LandmarkMap
-from graphslam.online.other_ends import _square, _squares
 from graphslam.se2 import compose, inverse, wrap
 
 PLACES = {1: (2.0, 2.0, 0.3), 2: (4.0, -2.0, -1.0), 3: (5.0, 3.0, 2.0)}
@@ -110,10 +109,15 @@ def test_copies_and_refused_steps(copied) -> None:
     assert other.cost == pytest.approx(whole.cost, rel=1e-9)
 
 
-@pytest.mark.parametrize("d", [2, 3])
-def test_r2_of_one_sighting_is_that_of_many(d: int) -> None:
-    rng = np.random.default_rng(d)
-    pose, place, z = rng.normal(size=(3, 3)) * (3.0, 3.0, 2.0)
-    half = rng.normal(size=(d, d))
-    row = np.array([7.0, *z[:d], *(half @ half.T).ravel()])
-    assert _square(pose, place, tuple(row)) == pytest.approx(_squares(pose[None], place[None], row[None, 1:])[0])
+@pytest.mark.parametrize("columns", [2, 3])
+def test_the_engine_tells_r2_of_the_newest_sightings(columns: int) -> None:
+    solver = drive(OnlineSolver(sensor=SENSOR, kernel="cauchy"), 0, 8, columns)
+    system = solver._backend.system
+    measured, covariances = SENSOR.places(sightings_at(7, columns, WRONG))
+    seen = np.array([compose(inverse(solver.pose), [*place, 0.0][:3])[:columns] for place in solver.landmarks.values()])
+    e = seen - measured
+    e[:, 2:] = wrap(e[:, 2:])
+    by_hand = [r @ np.linalg.solve(C, r) for r, C in zip(e, covariances)]
+    assert system.squares(system.num_edges - 3, 3) == pytest.approx(by_hand, abs=1e-4)
+    with pytest.raises(ValueError, match="fewer edges"):
+        system.squares(system.num_edges, 1)
