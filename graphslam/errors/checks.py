@@ -118,7 +118,9 @@ def check_sighted(name: str, angles: Iterable[float]) -> None:
 
 def check_heading(name: str, headings: ArrayLike) -> None:
     """Raise `OptionError` where a heading is beyond 8 pi, as those of degrees are."""
-    if (heading := float(np.abs(headings).max(initial=0.0))) > FOUR_TURNS:
+    if (
+        heading := abs(headings) if isinstance(headings, float) else float(np.abs(headings).max(initial=0.0))
+    ) > FOUR_TURNS:
         raise OptionError(
             f"the heading of {name} is {heading:g} rad, beyond 8 pi: is it in degrees? Give radians, np.deg2rad(...); if it "
             "is in radians, wrap it to [-pi, pi) with graphslam.se2.wrap"

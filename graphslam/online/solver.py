@@ -412,10 +412,10 @@ class OnlineSolver:
         in_map, columns = isinstance(self._backend, Localizer), self._backend.columns
         advice = "the solver takes identified landmarks only, except in a map: leave out what nobody has identified"
         landmarks, z = checked_sightings(ids, sightings, () if in_map else (UNIDENTIFIED, NO_ID), advice)
-        landmarks[landmarks == NO_ID] = UNIDENTIFIED
         if len(z) == 0:
             return [], np.zeros((0, columns or 2))
-        if np.any(np.isnan(z).any(axis=1) & (landmarks == UNIDENTIFIED)):
+        landmarks[landmarks == NO_ID] = UNIDENTIFIED
+        if np.isnan(z[landmarks == UNIDENTIFIED]).any():
             raise OptionError("a range or a bearing alone needs the id of its landmark")
         if columns not in (None, z.shape[1]) and not (in_map and z.shape[1] == 3):
             raise OptionError(f"the sightings so far have {columns} numbers each, these have {z.shape[1]}")
