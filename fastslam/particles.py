@@ -261,7 +261,7 @@ class FilterResult:
         notes: one sentence each: where the estimate contradicts the log (a robot that was lifted or lost; not of
             measurements that were handed in), and up to which
             step all particles have one history, so that covariances are too small (`fastslam.doubts`).
-        datum: latitude, longitude [degrees, WGS 84] and height [m] of the origin of poses and landmarks; None where not known.
+        datum: latitude, longitude [degrees, WGS 84] and height [m] of the origin of poses and landmarks; None where unknown.
     """
 
     estimator: str
