@@ -140,7 +140,7 @@ class ParticleFilter(ABC):
             check_memory(log, self.options, maps=self.HAS_MAPS)
             if motion is None and sensor is None:
                 # for logs with ids the same choice as that of `Graph.from_log`
-                log, _ = known_noise(log)
+                log, _ = known_noise(log, landmarks=map)
             if map is not None:
                 log = with_datum(log, map.datum, "the datum of the map")
         positions = log.positions if log is not None and self._takes_positions else None
