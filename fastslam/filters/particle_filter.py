@@ -129,12 +129,8 @@ class ParticleFilter(ABC):
                 raise OptionError(f"{log.name} has sightings without ids, {self._HOW_WITHOUT_IDS}")
             used = {"partial_sightings": self._takes_single_numbers, "positions": self._takes_positions}
             log.warn_of_unused("a particle filter", [name for name, is_used in used.items() if is_used])
-            if (
-                log.partial_sightings is not None
-                and self._takes_single_numbers
-                and log.has_orientation
-                and len(log.steps)
-            ):
+            single_numbers = self._takes_single_numbers and log.partial_sightings is not None
+            if single_numbers and log.has_orientation and len(log.steps):
                 what = f"{log.name} has sightings with psi beside ranges or bearings alone"
                 raise OptionError(f"{what}, which have none: take log.without_orientation()")
             check_memory(log, self.options, maps=self.HAS_MAPS)

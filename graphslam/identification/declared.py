@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from math import floor, inf, log10
+from typing import Any
 
 import numpy as np
 
@@ -74,7 +75,7 @@ def of_sensor_alone(values: Mapping[str, float]) -> dict[str, float]:
     return {name: value for name, value in values.items() if not PARAMETERS[name].of_motion and name != "sensor_delay"}
 
 
-def one_after_the_other(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
+def one_after_the_other(first: dict[str, float], second: dict[str, float]) -> dict[str, Any]:
     """Two corrections as one; the second one is of a log that the first one has corrected."""
     a, b = CORRECTIONS | first, CORRECTIONS | second
     both = {name: a[name] * b[name] for name in CORRECTIONS if name.endswith("_scale")}

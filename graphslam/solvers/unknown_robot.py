@@ -133,8 +133,8 @@ def _in_map(found: RobotEstimate, log: Log, known: LandmarkMap) -> RobotEstimate
         return replace(found, against_map=doubt)
     priors = dict(zip(p.names, zip(held.means.tolist(), held.deviations.tolist())))
     of_both = ParameterEstimate(p.names, values, p.covariance, priors | dict(found.parameters.priors))
-    place = [p[name] if name in p.names else here for name, here in zip(PLACE, found.sensor.offset)]
-    found = replace(found, parameters=of_both, sensor=replace(found.sensor, offset=tuple(place)), in_map=True)
+    ahead, left = (p[name] if name in p.names else here for name, here in zip(PLACE, found.sensor.offset))
+    found = replace(found, parameters=of_both, sensor=replace(found.sensor, offset=(ahead, left)), in_map=True)
     return replace(found, log=found.corrected(found.ids.correct(log)))
 
 
