@@ -283,10 +283,10 @@ def log_likelihoods(positions: AbsolutePositions, poses: Array) -> Array:
 def in_frame(
     poses: Array, log: Log, motion: MotionModel, sensor: SensorModel, rng: np.random.Generator, given: bool
 ) -> Array:
-    """First poses (N, 3) in the frame of the positions of a log; drawn anew where a start that nobody gave is in another one.
+    """First poses (N, 3) in the frame of the positions of a log; without a start that was given they are drawn there.
 
     The graph of the log puts the first pose at x with covariance P; under Cauchy's kernel one wrong position counts little.
-    The start m is compared by the Mahalanobis distance (m - x)' (P + C)^-1 (m - x), C the covariance of the poses.
+    A start m is compared by the Mahalanobis distance (m - x)' (P + C)^-1 (m - x), C the covariance of the poses.
 
     Raises:
         OptionError: a start that was given contradicts the positions.
@@ -299,15 +299,15 @@ def in_frame(
     graph = Graph.from_log(used, motion=motion, sensor=sensor, kernel="cauchy")
     solution = solve(graph)
     x, P = solution.poses[0], solution.covariance(poses=[0])[0]
+    if not given:
+        drawn = rng.multivariate_normal(x, SPREAD**2 * P, len(poses))
+        return np.column_stack([drawn[:, :2], wrap(drawn[:, 2])])
     mean = np.array([*poses[:, :2].mean(axis=0), np.angle(np.exp(1j * poses[:, 2]).mean())])
     e = np.column_stack([poses[:, :2] - mean[:2], wrap(poses[:, 2] - mean[2])])
     off = np.array([*(mean - x)[:2], wrap(mean[2] - x[2])])
     distance = np.sqrt(off @ np.linalg.solve(P + e.T @ e / len(e), off))
     if distance <= OTHER_FRAME:
         return poses
-    if not given:
-        drawn = rng.multivariate_normal(x, SPREAD**2 * P, len(poses))
-        return np.column_stack([drawn[:, :2], wrap(drawn[:, 2])])
     # the positions may leave the direction open; then the anchor holds that of the odometry, which a start may differ from
     if any(isinstance(family, AnchorEdges) for family in graph.families):
         return poses

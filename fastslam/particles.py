@@ -261,6 +261,7 @@ class FilterResult:
         notes: one sentence each: where the estimate contradicts the log (a robot that was lifted or lost; not of
             measurements that were handed in), and up to which
             step all particles have one history, so that covariances are too small (`fastslam.doubts`).
+        datum: latitude, longitude [degrees, WGS 84] and height [m] of the origin of poses and landmarks; None where unknown.
     """
 
     estimator: str
@@ -281,6 +282,7 @@ class FilterResult:
     unconfirmed: np.ndarray | None = None
     smoothed: Samples | None = None
     notes: tuple[str, ...] = ()
+    datum: Array | None = None
 
     @property
     def map(self) -> LandmarkMap:
@@ -290,7 +292,8 @@ class FilterResult:
         of the best particle, with covariances over all particles, which are too small where histories have run out.
         """
         made = self if self.smoothed is None else self.smoothed
-        return LandmarkMap(made.landmarks, {j: C for j, C in made.landmark_covariances.items() if np.any(C)})
+        uncertain = {j: C for j, C in made.landmark_covariances.items() if np.any(C)}
+        return LandmarkMap(made.landmarks, uncertain, correlated=len(uncertain) > 1, datum=self.datum)
 
     def __repr__(self) -> str:
         drawn = "" if self.smoothed is None else f", {self.smoothed.trajectories.shape[1]} trajectories drawn backwards"

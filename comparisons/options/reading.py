@@ -24,14 +24,14 @@ from graphslam.calibration import Calibration
 from graphslam.errors import quoted
 from graphslam.files import check_file, path_of
 from graphslam.identification.corrections import honest_variances, without_biases
-from graphslam.identification.declared import CORRECTIONS, of_sensor_alone
+from graphslam.identification.declared import CORRECTIONS, of_sensor_alone, one_after_the_other
 from graphslam.identification.known import enough_ids, unknown_noise
 from graphslam.identification.result import ESTIMATE
 from graphslam.identification.robot import with_checked_ids
 from graphslam.io.formats import load_robots, robots_in
 from graphslam.log.continuous_time import with_poses_every
 from graphslam.log.rows import ReadOptions
-from graphslam.maps.landmark_map import as_map
+from graphslam.maps.landmark_map import LandmarkMap, as_map
 from graphslam.maps.tracking import in_frame_of
 from graphslam.sessions import clock_offsets, join_robots, with_common_noise
 
@@ -122,8 +122,7 @@ def prepare(
         least, most, view = sensor.limits
         sensor = sensor.with_limits(least, min(most, options.max_range), view)
     in_map: dict[str, Any] = {}
-    if isinstance(options, MapOptions) and (options.map or options.landmark_map) is not None:
-        landmark_map = as_map(options.landmark_map or options.map).used_as(options.map_use)
+    if (landmark_map := _map_of(options)) is not None:
         data, kept, notes = in_frame_of(data, landmark_map, motion=motion, sensor=sensor)
         in_map = {"landmark_map": kept}
         remarks = list(notes)
@@ -138,6 +137,13 @@ def prepare(
         "calibration": found, "check_ids": check_ids or None,
     }  # fmt: skip
     return data, source, replace(options, **filled, **corrected, **in_map)
+
+
+def _map_of(options: LogOptions) -> LandmarkMap | None:
+    """The map that options give, used as they say; None without one."""
+    if not isinstance(options, MapOptions) or (options.map or options.landmark_map) is None:
+        return None
+    return as_map(options.landmark_map or options.map).used_as(options.map_use)
 
 
 def _joined(
@@ -211,13 +217,13 @@ def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], C
         if place:
             log = log.replace(sensor=replace(log.sensor or SensorModel(), **place))
         noise = None if options.noise is None else str(options.noise)
-        known, estimate = known_noise(log, noise, motion, sensor)
+        known, estimate = known_noise(log, noise, motion, sensor, _map_of(options))
         # the ids of ranges and bearings alone are never checked
         if options.check_ids is False and estimate is not None and len(log.steps) and enough_ids(log):
             advice = "to run without that check, name the noise: --noise FILE or --noise book"
             raise OptionError(f"the estimate of the noise always checks ids; {advice}")
         found = None if estimate is None else Calibration.of(estimate)
-        return known, values, found and replace(found, **_one_after_the_other(given, found.corrections))
+        return known, values, found and replace(found, **one_after_the_other(given, found.corrections))
     except (GraphError, LogError) as error:
         return log.replace(notes=(*log.notes, f"noise auto kept {_kept(log)}: {error}")), values, None
 
@@ -286,17 +292,6 @@ def given_models(options: LogOptions) -> dict[str, dict[str, Any]]:
         if numbers := numbers if model is None else asdict(model.changed(**numbers)):
             given[name] = numbers
     return given
-
-
-def _one_after_the_other(first: dict[str, float], second: dict[str, float]) -> dict[str, Any]:
-    """Two corrections as one; the second one is of a log that the first one has corrected."""
-    a, b = CORRECTIONS | first, CORRECTIONS | second
-    both = {name: a[name] * b[name] for name in CORRECTIONS if name.endswith("_scale")}
-    both |= {name: a[name] + b[name] for name in ("bearing_bias", "sensor_delay")}
-    both["range_bias"] = a["range_bias"] + a["range_scale"] * b["range_bias"]
-    both["turn_rate_bias"] = a["turn_rate_bias"] + a["turn_scale"] * b["turn_rate_bias"]
-    both["curvature_bias"] = a["curvature_bias"] * b["wheel_scale"] + a["turn_scale"] * b["curvature_bias"]
-    return both
 
 
 def _kept(log: Log) -> str:

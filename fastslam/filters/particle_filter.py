@@ -71,9 +71,8 @@ class ParticleFilter(ABC):
     the other column of `observe`).
 
     Absolute positions multiply the weights by N(p + R(theta) a - (x, y); 0, C), a the lever, before a step is resampled,
-    also in FastSLAM 2.0: its proposal does not use them. Where the log's first pose is
-    in another frame than they, the filter starts where positions and odometry put it. With smoothing they are left out with
-    a warning.
+    also in FastSLAM 2.0: its proposal does not use them. Without ``start`` the filter begins where they put the first pose.
+    With smoothing they are left out with a warning.
 
     Random numbers come from one generator in this order: for each motion `particles.standard_normals`, five per particle
     (nu, omega, x, y, theta; the first three for a Gaussian drawn at once), for each resampling what the scheme draws.
@@ -85,9 +84,10 @@ class ParticleFilter(ABC):
             without ids that takes two associations.
         options: the options; ``keywords`` replace single options and are the fields of `FilterOptions`.
         motion, sensor: the models; default: those of the log, else the book's.
-        start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose, in the frame of
-            its positions, or the first fix in ``map`` where that is far from it. Of a `Fix`, poses are drawn with
-            `motions.SPREAD` times its standard deviations, because its sightings weigh the particles again.
+        start: the known first pose (3,), or one per particle (N, 3); default: where the graph of a log with positions puts
+            it, or the log's first initial pose, or the first fix in ``map`` where that is far from it. Of a `Fix`, and of the
+            graph's first pose, poses are drawn with `motions.SPREAD` times its standard deviations, because its sightings
+            weigh the particles again.
         map: of landmarks that is known; `FastSLAM1` and `MonteCarloLocalization` say how they use it.
 
     Raises:
@@ -129,20 +129,19 @@ class ParticleFilter(ABC):
                 raise OptionError(f"{log.name} has sightings without ids, {self._HOW_WITHOUT_IDS}")
             used = {"partial_sightings": self._takes_single_numbers, "positions": self._takes_positions}
             log.warn_of_unused("a particle filter", [name for name, is_used in used.items() if is_used])
-            if (
-                log.partial_sightings is not None
-                and self._takes_single_numbers
-                and log.has_orientation
-                and len(log.steps)
-            ):
+            single_numbers = self._takes_single_numbers and log.partial_sightings is not None
+            if single_numbers and log.has_orientation and len(log.steps):
                 what = f"{log.name} has sightings with psi beside ranges or bearings alone"
                 raise OptionError(f"{what}, which have none: take log.without_orientation()")
             check_memory(log, self.options, maps=self.HAS_MAPS)
             if motion is None and sensor is None:
                 # for logs with ids the same choice as that of `Graph.from_log`
-                log, _ = known_noise(log)
+                log, _ = known_noise(log, landmarks=map)
             if map is not None:
                 log = with_datum(log, map.datum, "the datum of the map")
+        positions = log.positions if log is not None and self._takes_positions else None
+        #: the origin of poses and landmarks
+        self._datum = map.datum if map is not None else positions.datum if positions is not None else None
         self.log = log
         self.motion = motion or getattr(log, "motion", None) or MotionModel()
         self.sensor = sensor or getattr(log, "sensor", None) or SensorModel()
@@ -337,7 +336,7 @@ class ParticleFilter(ABC):
             landmark_covariances=self._errors_of(best_map),
             log_weights=self._engine.log_weights, log_evidence=self._log_evidence, ess=np.array(self._ess_history),
             resampled=np.array(self._resampled_history), ancestors=ancestors, smoothed=self._smoothed(mean_poses),
-            **self._association(poses),
+            datum=self._datum, **self._association(poses),
         )  # fmt: skip
         # measurements that are handed in between those of the log are not in it
         return noted(result, self.log if self._next == self._step + 1 else None, self.HAS_MAPS)

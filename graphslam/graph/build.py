@@ -58,7 +58,7 @@ def noise_in_map(
     free = (motion is None, sensor is None)
     unknown = any(free) and noise != BOOK and (noise == AUTO or unknown_noise(log))
     if landmarks is None or not unknown or enough_ids(log):
-        return noise_of(log, motion, sensor, noise)
+        return noise_of(log, motion, sensor, noise, landmarks)
     known, ids, most, nowhere = log.noise_models(motion, sensor), log.landmarks, 0, None
     for parts in PARTS:
         moves, sees = (_scaled(model, part if each else 1.0) for model, part, each in zip(known, parts, free))
@@ -73,7 +73,7 @@ def noise_in_map(
             break
     if most == 0 and noise == AUTO and nowhere is not None:
         raise nowhere
-    named, motion, sensor, robot = noise_of(log.replace(landmarks=ids), motion, sensor, noise)
+    named, motion, sensor, robot = noise_of(log.replace(landmarks=ids), motion, sensor, noise, landmarks)
     if robot is not None:
         # ranges are corrected by ids, too
         log = robot.corrected(log.replace(landmarks=ids)).replace(landmarks=log.landmarks)

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from math import floor, inf, log10
+from typing import Any
 
 import numpy as np
 
@@ -72,6 +73,17 @@ def of_sensor_alone(values: Mapping[str, float]) -> dict[str, float]:
     """The values {name: value} that correct a log without controls, too."""
     # a delay means nothing without controls
     return {name: value for name, value in values.items() if not PARAMETERS[name].of_motion and name != "sensor_delay"}
+
+
+def one_after_the_other(first: dict[str, float], second: dict[str, float]) -> dict[str, Any]:
+    """Two corrections as one; the second one is of a log that the first one has corrected."""
+    a, b = CORRECTIONS | first, CORRECTIONS | second
+    both = {name: a[name] * b[name] for name in CORRECTIONS if name.endswith("_scale")}
+    both |= {name: a[name] + b[name] for name in ("bearing_bias", "sensor_delay")}
+    both["range_bias"] = a["range_bias"] + a["range_scale"] * b["range_bias"]
+    both["turn_rate_bias"] = a["turn_rate_bias"] + a["turn_scale"] * b["turn_rate_bias"]
+    both["curvature_bias"] = a["curvature_bias"] * b["wheel_scale"] + a["turn_scale"] * b["curvature_bias"]
+    return both
 
 
 @dataclass(frozen=True, eq=False)

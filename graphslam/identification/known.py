@@ -10,6 +10,7 @@ from ..errors import GraphError, LogError, OptionError
 from ..errors.checks import check_choice
 from ..log import UNIDENTIFIED, Log
 from ..log.cells import DOUBTFUL_NOISE
+from ..maps.landmark_map import LandmarkMap
 from ..models import MotionModel, SensorModel
 from .result import RobotEstimate
 from .robot import FEWEST
@@ -33,7 +34,7 @@ def enough_ids(log: Log) -> bool:
 
 
 def known_robot(
-    log: Log, noise: str | None = None, sensor: SensorModel | None = None
+    log: Log, noise: str | None = None, sensor: SensorModel | None = None, landmarks: LandmarkMap | None = None
 ) -> tuple[Log, RobotEstimate | None]:
     """The log with the noise of its robot, and the estimate where that is asked for, or where nothing else is known.
 
@@ -43,6 +44,7 @@ def known_robot(
         noise: "auto" estimates noise, biases and misread ids; "book" takes the values of the lectures. Default: the models of
             the log where it brings some, the book's for logs of `simulate`, and else "auto" where the noise is identifiable.
         sensor: where the sensor is believed to be, and what it can see; default: as in the log.
+        landmarks: a map that the robot is in.
 
     Raises:
         LogError, GraphError: the log does not determine its noise, and ``noise`` is "auto".
@@ -56,7 +58,7 @@ def known_robot(
     from .. import estimate_robot
 
     try:
-        found = estimate_robot(log, sensor=sensor)
+        found = estimate_robot(log, sensor=sensor, map=landmarks)
     except (GraphError, LogError) as error:
         if noise == AUTO:
             raise
@@ -71,14 +73,18 @@ def with_findings(log: Log, found: RobotEstimate, *notes: str) -> Log:
 
 
 def noise_of(
-    log: Log, motion: MotionModel | None, sensor: SensorModel | None, noise: str | None
+    log: Log,
+    motion: MotionModel | None,
+    sensor: SensorModel | None,
+    noise: str | None,
+    landmarks: LandmarkMap | None = None,
 ) -> tuple[Log, MotionModel, SensorModel, RobotEstimate | None]:
     """The log and its noise models, and the estimate of the robot where one of them was not known otherwise.
 
     Args:
         motion, sensor: the models that are given. Where only one is, it is kept, and the other one is as ``noise`` says; the
             place of the sensor, and what it can see, are those of the estimate.
-        noise: as for `known_robot`.
+        noise, landmarks: as for `known_robot`.
 
     Raises:
         OptionError: there is no such choice of ``noise``, or both models are given beside it.
@@ -92,7 +98,7 @@ def noise_of(
         return log, *log.noise_models(motion, sensor), None
     # models of another type are refused before the estimate
     log.noise_models(motion, sensor)
-    log, robot = known_robot(log, noise, sensor)
+    log, robot = known_robot(log, noise, sensor, landmarks)
     if not (motion or sensor):
         return log, *log.noise_models(), robot
     kept, other = ("sensor", "motion") if sensor else ("motion", "sensor")

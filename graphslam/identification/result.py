@@ -198,6 +198,8 @@ class RobotEstimate(Systematic):
         of_scans: the error that all sightings of a scan have in common along the way [m], which the noise of the sensor
             contains and that of the odometry does not; 0 where the log shows none.
         slips: stretches on which the odometry is wrong; the log has more noise of the controls there.
+        in_map: whether the map of the robot tells the biases, too.
+        against_map: why it does not although there is one; empty otherwise.
     """
 
     log: Log
@@ -215,6 +217,8 @@ class RobotEstimate(Systematic):
     untested: tuple[str, ...] = ()
     of_scans: float = 0.0
     slips: tuple[Slip, ...] = ()
+    in_map: bool = False
+    against_map: str = ""
 
     def __repr__(self) -> str:
         return f"<RobotEstimate: {'; '.join(self.sentences)}>"
@@ -259,7 +263,7 @@ class RobotEstimate(Systematic):
         p = self.parameters
         informed = [name for name in p.names if p.deviations[name] < MIN_INFORMATION * p.priors[name][1]]
         if informed:
-            lines.append(f"biases estimated from this log: {p.sentence_of(informed)}")
+            lines.append(f"biases estimated from this log{' in its map' * self.in_map}: {p.sentence_of(informed)}")
         if uninformed := [name for name in p.names if name not in informed]:
             lines.append(f"the log says little about {', '.join(uninformed)}: {p.sentence_of(uninformed)}")
         return (*lines, *self.remarks)
@@ -267,7 +271,7 @@ class RobotEstimate(Systematic):
     @property
     def doubts(self) -> tuple[str, ...]:
         """Why the result may be wrong although noise and biases were found, one sentence each."""
-        p, lines = self.parameters, []
+        p, lines = self.parameters, [self.against_map] * bool(self.against_map)
         for k, name in enumerate(p.names):
             mean, _ = p.priors[name]
             if abs(p.values[k] - mean) > IMPLAUSIBLE * PRIORS[name]:

@@ -207,6 +207,40 @@ class LandmarkMap(dict[int, Array]):
         rows, *_ = self._in_joint(known)
         return self._like(means, joint=self.joint[np.ix_(rows, rows)], joint_ids=known)
 
+    def updated(self, ids: Sequence[int], places: Array, covariance: Array) -> LandmarkMap:
+        """The map with the places (L, d) of landmarks, new ones among them, by the solution of a graph in this map.
+
+        Let a be the coordinates of the map that the graph has, and b the others, such as headings where d = 2, with the map's
+        covariance C. What a log says of b it says by a. So where a becomes a' with the covariance P,
+
+            b' = b + K (a' - a),    K = C_ba C_aa^-1,    cov(b') = C_bb - K C_ab + K P K',    cov(b', a') = K P.
+
+        Args:
+            covariance: (d L, d L) of the places together.
+        """
+        from scipy.linalg import block_diag
+
+        d, values = places.shape[1], places.ravel()
+        coordinates = [(j, c) for j in ids for c in range(d)]
+        rows = {each: row for row, each in enumerate(coordinates)}
+        own = [(j, c) for j, C in self.covariances.items() for c in range(len(C))]
+        a, b = ([k for k, each in enumerate(own) if (each in rows) == inside] for inside in (True, False))
+        if b:
+            C = block_diag(*self.covariances.values()) if self.joint is None else self.joint
+            before, at = np.array([self[j][c] for j, c in own]), [rows[own[k]] for k in a]
+            K = np.zeros((len(b), len(values)))
+            K[:, at] = np.linalg.solve(C[np.ix_(a, a)], C[np.ix_(a, b)]).T
+            left, mixed = C[np.ix_(b, b)] - K[:, at] @ C[np.ix_(a, b)], K @ covariance
+            covariance = np.block([[covariance, mixed.T], [mixed, left + mixed @ K.T]])
+            values = np.append(values, before[b] + K[:, at] @ (values[at] - before[a]))
+            coordinates += [own[k] for k in b]
+        order = sorted(range(len(coordinates)), key=lambda k: coordinates[k])
+        found: dict[int, list[float]] = {}
+        for k in order:
+            found.setdefault(coordinates[k][0], []).append(values[k])
+        covariance = covariance[np.ix_(order, order)]
+        return self._like({**self, **found}, joint=(covariance + covariance.T) / 2, joint_ids=found)
+
     def arrays(self, ids: Iterable[int]) -> tuple[Array, Array]:
         """The places (L, 3) of landmarks, headings NaN where unknown, and their covariances (L, 3, 3), zero where exact."""
         chosen = list(ids)

@@ -274,6 +274,11 @@ class JointGraph:
         """The step (n + r, 3)."""
         return self.joined(*self._factor.solve(self._here.system.xi, self._border.gradient))
 
+    @property
+    def parameter_covariance(self) -> Array:
+        """The covariance (K, K) of the parameters at the factorised state."""
+        return self._factor.covariance
+
     def border(
         self, graph: Graph, nodes: Array, held: Array, scaled: bool = False, controls: Array | None = None
     ) -> Border:

@@ -64,31 +64,23 @@ def solved_map(graph: Graph, state: Array, uncertainty: Uncertainty) -> Landmark
         uncertainty = Uncertainty(graph, state)
     poses, d = len(graph.steps), graph.landmark_dimension
     free = np.setdiff1d(np.arange(poses, graph.num_nodes), graph.fixed)
-    places = state[:, :d].copy()
+    places = state[free, :d].copy()
     places[:, 2:] = wrap(places[:, 2:])
     ids = graph.landmark_ids[free - poses].tolist()
-    means_of_nodes = dict(zip(graph.landmark_ids.tolist(), places[poses:]))
-    known = LandmarkMap({}) if graph.map is None else graph.map
-    means = means_of_nodes | dict(known) | dict(zip(ids, places[free]))
-    classes = known.classes | _classes(log)
-    # landmarks of the graph's map that are no nodes are as they were
-    others = {j: C for j, C in known.covariances.items() if j not in means_of_nodes}
-    said: dict[str, Any] = {"classes": classes, "datum": _datum_of(graph)}
-    if 9 * len(free) * graph.num_nodes > MAX_JOINT_NUMBERS or not len(free):
-        covariances = dict(zip(ids, uncertainty.diagonal[free, :d, :d]))
-        return LandmarkMap(means, others | covariances, correlated=known.correlated or len(free) > 1, **said)
-    kept = np.tile(np.arange(3) < d, len(free))
-    joint = uncertainty.joint(free)[np.ix_(kept, kept)]
-    if others:
-        from scipy.linalg import block_diag
-
-        joint = block_diag(joint, *others.values())
-    # by increasing id
-    places = np.repeat([*ids, *others], [d] * len(ids) + [len(C) for C in others.values()])
-    order = np.argsort(places, kind="stable")
-    joint = joint[np.ix_(order, order)]
-    joint = (joint + joint.T) / 2
-    return LandmarkMap(means, joint=joint, joint_ids=[*ids, *others], correlated=known.correlated, **said)
+    known = LandmarkMap({}, datum=_datum_of(graph)) if graph.map is None else graph.map
+    if 9 * len(free) * graph.num_nodes <= MAX_JOINT_NUMBERS and len(free):
+        kept = np.tile(np.arange(3) < d, len(free))
+        found = known.updated(ids, places, uncertainty.joint(free)[np.ix_(kept, kept)])
+    else:
+        of_each = zip(ids, places, uncertainty.diagonal[free, :d, :d])
+        alone = {j: known.among([j]).updated([j], place[None], C) for j, place, C in of_each}
+        means = dict(known) | {j: each[j] for j, each in alone.items()}
+        covariances = known.covariances | {j: each.covariances[j] for j, each in alone.items()}
+        found = LandmarkMap(
+            means, covariances, classes=known.classes, correlated=known.correlated or len(free) > 1, datum=known.datum
+        )
+    found.classes |= _classes(log)
+    return found
 
 
 def _with_nodes(graph: Graph, log: Log, state: Array) -> tuple[Graph, Array]:

@@ -304,3 +304,24 @@ def test_an_exact_map_tells_the_parameters_of_the_robot(name, method):
     assert exact.parameters[name] == pytest.approx(other.parameters[name], abs=1e-5)
     assert exact.parameters.deviations[name] == pytest.approx(other.parameters.deviations[name], rel=1e-4)
     assert all(np.array_equal(exact.landmarks[j], flat[j]) for j in flat)
+
+
+@pytest.mark.parametrize("use", ["joint", "own", "fixed"])
+def test_the_map_of_a_log_without_psi_keeps_the_headings_of_the_given_map(use):
+    """They turn with the places as the map correlates them: the posterior of all coordinates by what the log says of x, y."""
+    known = solve(Graph.from_log(simulate(seed=1))).map.used_as(use)
+    found = solve(Graph.from_log(simulate(seed=2).without_orientation(), map=known, edges="landmark+motion")).map
+    assert all(len(place) == 3 for place in found.values())
+    if use == "fixed":
+        assert found == known
+        return
+    ids, before = list(known), np.concatenate(list(known.values()))
+    C, after = known.between(ids).transpose(0, 2, 1, 3).reshape(3 * len(ids), -1), np.concatenate(list(found.values()))
+    xy = np.flatnonzero(np.arange(len(C)) % 3 < 2)
+    P = found.joint[np.ix_(xy, xy)]
+    said = np.zeros_like(C)
+    said[np.ix_(xy, xy)] = np.linalg.inv(P) - np.linalg.inv(C[np.ix_(xy, xy)])
+    expected = np.linalg.inv(np.linalg.inv(C) + said)
+    np.testing.assert_allclose(found.joint, expected, rtol=1e-4, atol=1e-7)
+    moved = expected[:, xy] @ np.linalg.solve(P, after[xy] - before[xy])
+    np.testing.assert_allclose(wrap(after - before - moved), 0.0, atol=1e-6)
