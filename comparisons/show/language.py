@@ -111,7 +111,8 @@ def _translated(text: str, language: str) -> tuple[str, int]:
     for separator, between in _BETWEEN:
         if len(parts := separator.split(text, maxsplit=1)) > 1:
             values = [_translated(part, language) for part in parts]
-            whole = between == "。" or not any(map(_is_english, values))
+            # before a colon there may be the name of a log, in any words
+            whole = between == "。" or not _is_english(values[1])
             if whole and (covered := sum(score for _, score in values)) >= max(best[1], 1):
                 best = between.join(value for value, _ in values), covered
     return best
