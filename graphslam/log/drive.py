@@ -49,20 +49,7 @@ from .rows import (
     sound_rows,
     spike_faults,
 )  # fmt: skip
-from .table import (
-    COVARIANCES,
-    DEVIATIONS,
-    MEASURES,
-    NAMES,
-    OTHER_UNITS,
-    RATES,
-    UNITS,
-    Kept,
-    Table,
-    find,
-    ordered,
-    plain,
-)
+from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, RATES, Kept, Table, find, ordered, part_unit
 
 TURNED = "the heading is {:g} rad: does it count many turns, or is it in degrees?"
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
@@ -119,10 +106,6 @@ class Reader:
         # robots with four wheels have their motion in other columns, and receivers may tell several heights
         dispensable = ("altitude", *(WHEELS if options.track is None else ()))
         self.found = find(kind, table, ROLES[kind], options.columns_of(kind), ORDERS[kind], dispensable)
-        seconds = plain(table.names[self.found["t"].column]) if table.names and "t" in self.found else ("", None)
-        # milliseconds beside a time of another name may measure something else
-        if self._part_of_second != "ns" and "s" not in (UNITS.get(seconds[0]), seconds[1]):
-            del self.found["nanosec"]
         if len(table) == 0:
             raise table.error(None, f"there is no row of {kind} in it")
         for role, chosen in self.found.items():
@@ -138,13 +121,6 @@ class Reader:
         if missing := [role for role in roles if role not in self.found]:
             raise self.table.error(None, self.missing(*dict.fromkeys(missing), consequence=instead))
         self.used |= dict.fromkeys(roles)
-
-    @property
-    def _part_of_second(self) -> str:
-        """The unit of the column that holds the part of a second beside seconds."""
-        if not (self.has("nanosec") and self.table.names):
-            return "ns"
-        return UNITS.get(plain(self.table.names[self.found["nanosec"].column])[0], "ns")
 
     def missing(self, *roles: str, consequence: str = "") -> str:
         """The sentence about columns that are not there, with those that are."""
@@ -276,11 +252,11 @@ class Reader:
         column = self.found[role].column
         day = self.found["date"].column if self.has("date") else None
         ns = cells.nanoseconds(self.table, column, self._unit(role), self.kind, day)
-        # times with decimals have their part of a second
+        # times with decimals have their parts of a second
         if self.has("nanosec") and not np.any(ns % cells.UNITS["s"]):
             self.need("nanosec")
             beside = self.found["nanosec"].column
-            more = cells.nanoseconds(self.table, beside, self._part_of_second, self.kind)
+            more = cells.nanoseconds(self.table, beside, part_unit(self.table, beside), self.kind)
             if (k := first((more < 0) | (more >= cells.UNITS["s"]))) is not None:
                 what = f"{self.table.title(beside)} is {self.table.words(beside)[k]}, and no part of a second beside seconds"
                 advice = f"if it is the whole time, state columns='{self.kind}.t={beside + 1}'"

@@ -327,6 +327,11 @@ def plain(name: str) -> tuple[str, str | None]:
     return "_".join(words), unit
 
 
+def part_unit(table: Table, column: int) -> str:
+    """The unit of a column of parts of a second, beside one of seconds: that which its name is, else ns."""
+    return UNITS.get(plain(table.names[column])[0], "ns") if table.names else "ns"
+
+
 def find(
     kind: str, table: Table, roles: Sequence[str], stated: Mapping[str, str | int], orders: Mapping[int, Sequence[str]],
     dispensable: Collection[str] = (),
