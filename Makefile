@@ -129,7 +129,7 @@ engine-wasm: .venv/.engine-wasm
 # the documentation site in English and Japanese; results of its code are kept in .cache, and its pages are tested if it is built
 docs: .venv/.installed-docs .venv/.installed engine-wasm
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
-	@echo "open site/index.html, or run: $(BIN)/mkdocs serve"
+	@echo "to read it: python3 -m http.server --directory site, then open http://localhost:8000"
 
 # a quick check of the site: links, formulas, both languages, and the code of some pages, which the commit chooses
 docs-check: .venv/.installed-docs .venv/.installed

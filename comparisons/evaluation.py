@@ -81,7 +81,7 @@ class Evaluated(metrics.Errors):
         landmark_rmse_m: of landmarks whose ids are true ones, or, with ``match="place"``, of the pairs.
         missed, false: true landmarks that have no partner within the cutoff, and landmarks of the map without.
         gospa_m: see `graphslam.metrics.gospa`.
-        times, errors: (N,) [s] since the first true pose, and position errors [m].
+        times, errors: (N,) [s] since the first true pose, and position errors [m], NaN where the truth is not known.
         aligned: (N, 3) the aligned poses, of the point that the truth is of.
         aligned_map: {id: place}.
         notes: those of the reader of the files.
@@ -333,7 +333,8 @@ def _evaluated(
         )
     poses, at = at_point[known], right[known]
     placement = metrics.align(at, poses)
-    errors = metrics.position_errors(at, poses)
+    errors = np.full(len(known), np.nan)
+    errors[known] = metrics.position_errors(at, poses)
     nees, covariances = None, None if estimate.covariances is None else estimate.covariances[known]
     if covariances is not None and known[0] and np.isfinite([at[0], poses[0]]).all():
         robot = mounted(at, (-truth.offset[0], -truth.offset[1]))
@@ -358,8 +359,8 @@ def _evaluated(
     if not np.isfinite(poses[:, 2]).all():
         measured |= {"rpe_m": None, "rpe_rad": None, "heading_rad": None}
     return Evaluated(
-        name=estimate.name, poses=len(known), compared=int(np.count_nonzero(known)), most_m=float(errors.max()),
-        nees=nees, times=(estimate.times[known] - truth.times[0]) / 1e9, errors=errors,
+        name=estimate.name, poses=len(known), compared=int(np.count_nonzero(known)), most_m=float(np.nanmax(errors)),
+        nees=nees, times=(estimate.times - truth.times[0]) / 1e9, errors=errors,
         aligned=compose(placement, at_point), notes=notes, **measured, **on_map,
     )  # fmt: skip
 

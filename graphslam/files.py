@@ -122,13 +122,13 @@ def read_text(path: Path) -> str:
     try:
         content = path.read_bytes()
         text = content.decode("utf-16" if content.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig")
-    except UnicodeDecodeError:
+    except UnicodeDecodeError as error:
         check_unpacked(path, content)
-        raise FormatError(
-            path,
-            None,
-            "not a text file in UTF-8; if it is in another encoding, save it as UTF-8: iconv -f latin1 -t utf-8 OLD > NEW",
-        ) from None
+        message = "not a text file in UTF-8; if it is in another encoding, save it as UTF-8: "
+        message += "iconv -f latin1 -t utf-8 OLD > NEW"
+        if error.encoding.startswith("utf-16"):
+            message = "not a readable text file in UTF-16; was it cut short?"
+        raise FormatError(path, None, message) from None
     except OSError as error:
         raise FormatError(path, None, f"cannot be read: {error.strerror}") from None
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text

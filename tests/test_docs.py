@@ -1,5 +1,6 @@
 """The Python examples of the documentation run."""
 
+import json
 import os
 import re
 import shutil
@@ -134,6 +135,27 @@ assert "median_m" in json.dumps(json.load(open("docs/schema.json")))
 def test_the_metric_of_the_page_works(extended):
     """One file: the rows of runs have the median, and the schema that is written anew names it."""
     assert extended("metric", ("docs/make_json.py",), ("-c", METRIC)) == ["graphslam/metrics.py"]
+
+
+@pytest.mark.slow
+def test_the_verb_of_the_page_works(extended, tmp_path):
+    extended("metric")  # a copy of the project
+    english, japanese = (
+        re.search(r"{#verb}.*?```py\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)[1]
+        for page in ("extending.md", "extending.ja.md")
+    )
+    assert english == japanese
+    verbs, listed = (tmp_path / "comparisons/cli" / name for name in ("logs.py", "__init__.py"))
+    verbs.write_text(f"{verbs.read_text(encoding='utf-8')}\n\n{english}", encoding="utf-8")
+    text = listed.read_text(encoding="utf-8")
+    changes = {"import_, show,": "import_, landmarks, show,", "VERBS = (": "VERBS = (landmarks,"}
+    for there, instead in changes.items():
+        text = text.replace(there, instead, 1)
+    listed.write_text(text, encoding="utf-8")
+    command = [sys.executable, "-m", "comparisons", "landmarks", "--json", "-", "-q", "--max-range", "3"]
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    run = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert json.loads(run.stdout)["landmarks"]["6"] == 20, run.stderr
 
 
 PAGES = [*sorted(DOCS.parent.glob("*.md")), *sorted(DOCS.rglob("*.md"))]

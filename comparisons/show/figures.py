@@ -268,11 +268,18 @@ def _draw_histogram(axes: Axes, histogram: Histogram, label: str, title: str) ->
     axes.set(xlabel=label, ylabel="sightings", title=title)
 
 
+def _gaps(times: Array, longest: float) -> np.ndarray:
+    """The rows of times (n,) [s] before which there is a gap: longer than ``longest``, and than three usual steps."""
+    apart = np.diff(times)
+    return np.flatnonzero(apart > max(longest, 3 * np.median(apart))) + 1
+
+
 def evaluation_figure(evaluation: Evaluation) -> Figure:
     """The figure of estimates against the ground truth, 7.16 inches wide: aligned paths and maps, and position errors."""
     with canvas.paper_figure() as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
-        core = draw_truth(left, evaluation.truth.poses, evaluation.true_map)
+        longest, truth = evaluation.options.longest_gap, evaluation.truth
+        core = draw_truth(left, parted(truth.poses, _gaps(truth.times / 1e9, longest)), evaluation.true_map)
         handles, medians = list(left.lines), []
         for k, each in enumerate(evaluation.estimates):
             # ten colours, and another dash for each further ten
@@ -281,11 +288,12 @@ def evaluation_figure(evaluation: Evaluation) -> Figure:
                 "linewidth": 1.0,
                 "linestyle": ("-", "--", ":", "-.")[k // 10 % 4],
             }
-            handles += left.plot(*each.aligned[:, :2].T, label=canvas.as_text(each.name), **style)
+            gaps = _gaps(each.times, longest)
+            handles += left.plot(*parted(each.aligned, gaps)[:, :2].T, label=canvas.as_text(each.name), **style)
             if each.aligned_map:
                 left.plot(*np.array(list(each.aligned_map.values())).T, "x", color=style["color"], markersize=4)
-            right.plot(each.times, each.errors, **style)
-            medians.append(float(np.median(each.errors)))
+            right.plot(parted(each.times, gaps), parted(each.errors, gaps), **style)
+            medians.append(float(np.nanmedian(each.errors)))
         canvas.set_limits(left, np.concatenate(core), [each.aligned[:, :2] for each in evaluation.estimates])
         left.set(xlabel="x [m]", ylabel="y [m]", title="(a) aligned paths")
         log_scale_where_apart(right, medians)

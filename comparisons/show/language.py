@@ -111,12 +111,16 @@ def _translated(text: str, language: str) -> tuple[str, int]:
     for separator, between in _BETWEEN:
         if len(parts := separator.split(text, maxsplit=1)) > 1:
             values = [_translated(part, language) for part in parts]
-            whole = between == "。" or not any(map(_is_english, values))
+            # before a colon there may be the name of a log, in a few words
+            prose = values[1:] if len(parts[0].split()) <= _WORDS_OF_NAME else values
+            whole = between == "。" or not any(map(_is_english, prose))
             if whole and (covered := sum(score for _, score in values)) >= max(best[1], 1):
                 best = between.join(value for value, _ in values), covered
     return best
 
 
+#: the most words of the name of a log
+_WORDS_OF_NAME = 5
 #: three words that are no command, path or name, and a list of names, such as those of estimators
 _NAMES = re.compile(r"[\w-]+(, [\w-]+)+")
 _PROSE = re.compile(r"(?<![\w./-])[A-Za-z][a-z]+,? [a-z]{2,},? [a-z]{2,}(?![\w./-])")

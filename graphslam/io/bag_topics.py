@@ -147,6 +147,9 @@ def _cause(path: Path, error: Exception) -> str:
     if "Profile is not ros2" in text or (kind == ".mcap" and isinstance(error, KeyError)):
         reason = "the messages of this MCAP file are not those of ROS 2 (Protobuf, JSON, or ROS 1)"
         return f"{reason}; convert it to ROS 2 first, or export tables"
+    if "CDR encapsulation" in text and path.is_file():
+        folder = "name the folder of the recording, with metadata.yaml, where messages are compressed one by one"
+        return f"its messages cannot be decoded; {folder}; or the file is damaged"
     if "no type definitions" in text or "TypesysError" in type(error).__name__:
         return f"the bag lacks the definition of a message type ({text}); convert it to MCAP, which holds them"
     return f"not a readable bag ({text}); was it cut short?"

@@ -441,9 +441,9 @@ def repeated_sightings(
         later = np.maximum(numbers[1:], numbers[:-1])[other]
         which = f"{_first(table, later, 'sighting')} (of {len(ns)})"
         which += " with the time and id of another row and other numbers"
-        cause = "several objects have one id, or the times were rounded"
+        cause = "several objects have one id, ids were misread, or the times were rounded"
         if rounded := _rounded(ns):
-            cause = f"the times were probably rounded{rounded}, or several objects have one id"
+            cause = f"the times were probably rounded{rounded}, ids were misread, or several objects have one id"
         doubts.append((SHARED, f"{which}: {cause}"))
     return tuple(doubts)
 

@@ -49,7 +49,7 @@ from .rows import (
     sound_rows,
     spike_faults,
 )  # fmt: skip
-from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, RATES, Kept, Table, find, ordered
+from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, RATES, Kept, Table, find, ordered, part_unit
 
 TURNED = "the heading is {:g} rad: does it count many turns, or is it in degrees?"
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
@@ -252,12 +252,13 @@ class Reader:
         column = self.found[role].column
         day = self.found["date"].column if self.has("date") else None
         ns = cells.nanoseconds(self.table, column, self._unit(role), self.kind, day)
-        if self.has("nanosec"):
+        # times with decimals have their parts of a second
+        if self.has("nanosec") and not np.any(ns % cells.UNITS["s"]):
             self.need("nanosec")
             beside = self.found["nanosec"].column
-            more = cells.nanoseconds(self.table, beside, "ns", self.kind)
+            more = cells.nanoseconds(self.table, beside, part_unit(self.table, beside), self.kind)
             if (k := first((more < 0) | (more >= cells.UNITS["s"]))) is not None:
-                what = f"{self.table.title(beside)} is {more[k]}, and no part of a second beside seconds"
+                what = f"{self.table.title(beside)} is {self.table.words(beside)[k]}, and no part of a second beside seconds"
                 advice = f"if it is the whole time, state columns='{self.kind}.t={beside + 1}'"
                 raise self.table.error(k, f"{what}: {advice}")
             ns = cells.added(self.table, column, ns, more, self.kind)

@@ -200,7 +200,7 @@ def _of_wheel(side: str) -> tuple[str, ...]:
 _NAMES = {
     "t": "t time timestamp stamp ts seconds secs sec header_stamp times timestamps datetime date_time date",
     "date": "date day",
-    "nanosec": "nanosec nanosecs nsec nsecs nanoseconds",
+    "nanosec": "nanosec nanosecs nsec nsecs nanoseconds usec usecs microseconds msec msecs milliseconds",
     "nu": (
         "nu v vel velocity speed linear_x linear_velocity forward_velocity forward_speed lin_vel linear vx v_x "
         "v_lin translational_velocity linear_velocity_x"
@@ -263,8 +263,8 @@ _KNOWN = {name for names in NAMES.values() for name in names}
 WHOLE = _words("v w r l d b kind type std sx sy t1 t2 lat lon lng long")
 _UNITS = {
     "s": "s sec secs seconds",
-    "ms": "ms msec millis milliseconds",
-    "us": "us µs μs usec micros microseconds",
+    "ms": "ms msec msecs millis milliseconds",
+    "us": "us µs μs usec usecs micros microseconds",
     "ns": "ns nanos nanoseconds",
     "m": "m meter meters metre metres m/s m/sec mps",
     "cm": "cm centimeter centimeters centimetre centimetres cm/s",
@@ -325,6 +325,11 @@ def plain(name: str) -> tuple[str, str | None]:
         else:
             words, unit = words[:-1], _ENDS[words[-1]]
     return "_".join(words), unit
+
+
+def part_unit(table: Table, column: int) -> str:
+    """The unit of a column of parts of a second, beside one of seconds: that which its name is, else ns."""
+    return UNITS.get(plain(table.names[column])[0], "ns") if table.names else "ns"
 
 
 def find(

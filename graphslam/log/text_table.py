@@ -218,7 +218,8 @@ def _check_thousands(path: Path, text: str) -> None:
         found = (each[0] for each in re.finditer(rf"(?<![\w.,:])[+-]?\d+\{mark}[\d.,]*(?![\w.,:])", text))
         number = next(found, "")
         grouped = all(map(_GROUPED.fullmatch, chain([number], found)))
-        if grouped and re.search(rf"\d\{other}\d", text):
+        # the other mark is that of decimals in a cell that is a number, not a date, an address or a version
+        if grouped and re.search(rf"(?<![\w.,:])[+-]?[\d{mark}]*\d\{other}\d+(?![\w.,:])", text):
             message = f"numbers such as {number} seem to have a mark between thousands: write them without it"
             raise FormatError(path, None, message)
 

@@ -204,7 +204,7 @@ def ids_of(log: Log) -> Iterator[Finding]:
         k = int(np.argmax(apart))
         seen = f"landmark {ids[k]} is seen twice at step {steps[k]}"
         away = f"{ranges[k]:.2f} and {ranges[k + 1]:.2f} m away ({np.sum(apart)} such pairs)"
-        cause = "several objects may have one id, or different stamps became one"
+        cause = "several objects may have one id, ids may be misread, or different stamps became one"
         yield Finding("duplicate ids", f"{seen}, {away}; {cause}")
 
 

@@ -233,6 +233,16 @@ def test_the_verb_writes_table_json_and_figure(truth: Path, tmp_path: Path) -> N
     assert (tmp_path / "e.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_the_figure_has_no_lines_across_gaps(tmp_path: Path) -> None:
+    near, far = TIMES[80] > TIMES, TIMES[120] < TIMES
+    truth = written(tmp_path / "truth.csv", TIMES[near | far], TRUE[near | far])
+    late = written(tmp_path / "late.csv", TIMES[TIMES[40] < TIMES], TRUE[TIMES[40] < TIMES])
+    lost = written(tmp_path / "lost.csv", TIMES[near | far], TRUE[near | far])
+    left, right = comparisons.evaluate(truth, late, lost).figure().axes
+    assert [np.isnan(line.get_xdata()).any() for line in left.lines] == [True, False, True]
+    assert [np.isnan(line.get_ydata()).any() for line in right.lines] == [True, True]
+
+
 def test_impossible_input_is_refused_with_a_sentence(truth: Path, tmp_path: Path) -> None:
     estimate = written(tmp_path / "mine.csv", TIMES, TRUE)
     with pytest.raises(OptionError, match="name at least one estimate"):

@@ -7,6 +7,7 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from comparisons.cli import app
@@ -101,5 +102,6 @@ def test_schema_and_page_are_those_of_the_models():
     spec.loader.exec_module(made)
     repeat = "is out of date; run: python docs/make_json.py"
     assert made.schema() == SCHEMA, f"docs/schema.json {repeat}"
+    assert made.DOCUMENTS.keys() == get_command(app).commands.keys()
     page = made.page()
     assert [verb for verb in made.DOCUMENTS if f"`{verb}`" not in page and f"## {verb}" not in page] == []

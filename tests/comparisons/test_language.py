@@ -118,7 +118,7 @@ NO_SENTENCES = {
     "the odometry turns the other way than the truth; one of them has the wrong sign{}",
     "{} and numbers of the row before: the rows were probably written twice, or two files joined",
     "{} of the row before and other numbers: the times were probably rounded{}, and one row per time is used",
-    "the times were probably rounded{}, or several objects have one id",
+    "the times were probably rounded{}, ids were misread, or several objects have one id",
 }
 
 

@@ -69,6 +69,8 @@ from graphslam.calibration import Calibration
         "the noise models say less noise than this log shows, so that the noise of odometry and that of sightings cannot "
         "both be right: J per degree of freedom of graph is 20.1, and should be about 1; in the median it is 21.2 for "
         "sightings and 3.1 for motions. Perhaps the robot slips, or the sightings of several landmarks are wrong together",
+        "b: positions are metres east and north of latitude 48.0, longitude 11.0 degrees (WGS 84), the first fix of an "
+        "earlier log",
         "oo, estimated as 0.37, is more than usual robots have (at most 0.15): perhaps the turn rate has another sign or "
         "unit, or bearings count clockwise",
     ],
@@ -121,3 +123,12 @@ def test_names_of_parameters_stay_as_they_are() -> None:
     (table,), _ = calibration_tables(Calibration(motion=MotionModel(), sensor=SensorModel()))
     cells = list(translated_table(table, "ja").columns[0].cells)
     assert cells[:4] == ["nn", "no", "on", "oo"]
+
+
+def test_notes_of_a_log_whose_name_is_words() -> None:
+    assert translated("my own robot: 5627 of 9000 sightings are of other robots: left out.", "ja").startswith(
+        "my own robot: 9000個のセンサ値のうち5627個"
+    )
+    assert translated("Animation:           slam-compare animate 'my own robot' a.gif", "ja").startswith(
+        "アニメーション"
+    )

@@ -10,10 +10,11 @@ import pytest
 pytest.importorskip("rosbags")
 
 from bags import Maker, point, pose, quaternion, transform, twist
+from rosbags.convert.converter import convert
 
 import comparisons
 from comparisons.show.recordings import write_mcap
-from graphslam import AbsolutePositions, FormatError, Graph, Log, PoseRelations, simulate, solve
+from graphslam import AbsolutePositions, FormatError, Graph, Log, PoseRelations, load, simulate, solve
 from graphslam.io.bag_drive import drive_of_bag
 from graphslam.io.bag_messages import Frames, Poses, positions_table, relations_table
 from graphslam.io.bag_topics import open_bag
@@ -295,3 +296,15 @@ def test_the_export_of_a_run_gives_them_back(tmp_path: Path) -> None:
     assert np.allclose(again.relations.covariances[order], log.relations.covariances)
     assert np.allclose(again.positions.places, log.positions.places, equal_nan=True)
     assert np.allclose(again.positions.covariances[:, :2, :2], log.positions.covariances[:, :2, :2])
+
+
+@pytest.mark.slow
+def test_messages_that_are_compressed_one_by_one_need_the_folder(tmp_path: Path) -> None:
+    """Their file alone does not say so, and was called "cut short"."""
+    source, folder = drive().write(tmp_path / "a.mcap"), tmp_path / "packed"
+    convert([source], folder, "mcap", 9, "zstd", "message", None, None, (), (), (), ())
+    assert load(folder).equals(load(source))
+    with pytest.raises(
+        FormatError, match="messages cannot be decoded; name the folder of the recording, with metadata.yaml"
+    ):
+        load(folder / "packed.mcap")

@@ -70,3 +70,11 @@ def test_times_are_exact(cell, unit, expected, tmp_path):
     assert nanoseconds(TextTable(path), 0, unit, "odometry").tolist() == [expected]
     path.write_text(f"t;a\n{cell.replace('.', ',')};1,5\n")
     assert nanoseconds(TextTable(path), 0, unit, "odometry").tolist() == [expected]
+
+
+@pytest.mark.parametrize("comment", ["v1.2", "10.1.2.3", "30.11.2026"])
+def test_decimal_commas_beside_other_points(comment, tmp_path):
+    """Three decimals in each number were taken for thousands, because of a point in another cell."""
+    path = tmp_path / "a.csv"
+    path.write_text(f"t;nu;comment\n1,000;1,500;{comment}\n1,100;1,500;{comment}\n")
+    assert TextTable(path).numbers([0, 1]).tolist() == [[1.0, 1.5], [1.1, 1.5]]

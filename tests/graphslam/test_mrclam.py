@@ -143,7 +143,10 @@ def test_a_robot_that_saw_no_landmark(folder):
 
 def test_files_that_are_not_text(folder):
     (folder / "Barcodes.dat").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(FormatError, match="not a text file"):
+    with pytest.raises(FormatError, match="not a readable text file in UTF-16; was it cut short"):
+        load(folder)
+    (folder / "Barcodes.dat").write_bytes(b"\xe4")
+    with pytest.raises(FormatError, match="not a text file in UTF-8; if it is in another encoding"):
         load(folder)
 
 

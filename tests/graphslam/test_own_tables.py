@@ -201,10 +201,15 @@ def test_times_since_1970_are_exact_to_a_nanosecond(drive):
 
 
 def test_two_columns_of_a_stamp(drive, expected):
-    rows = [(int(t), round(t % 1 * 1e9), j, r, b) for t, j, r, b in SEEN]
-    for names in ("header.stamp.sec,header.stamp.nanosec", "sec,nSec"):
+    cases = (("header.stamp.sec,header.stamp.nanosec", 1e9), ("sec,nSec", 1e9), ("sec,msec", 1e3), ("secs,usecs", 1e6))
+    for names, parts in cases:
+        rows = [(int(t), round(t % 1 * parts), j, r, b) for t, j, r, b in SEEN]
         log = load(drive(sightings=text(f"{names},id,range,bearing", rows)))
         np.testing.assert_allclose(log.times, expected.times, rtol=1e-12)
+    # the times are whole already
+    for names in ("time_s,msec", "sec,nsec"):
+        rows = [(t, 300, j, r, b) for t, j, r, b in SEEN]
+        assert load(drive(sightings=text(f"{names},id,range,bearing", rows))).times.tolist() == expected.times.tolist()
 
 
 def test_rows_that_arrive_together_are_no_other_unit(drive, expected):

@@ -198,7 +198,7 @@ def test_times_that_are_rounded_are_a_doubt(drive):
     (message,) = messages(log, "duplicate ids")
     assert message in Graph.from_log(log, **models).notes
     assert "sightings.csv:4: the first of 16 sightings (of 32) with the time and id of another row" in message
-    assert "the times were probably rounded to seconds, or several objects have one id" in message
+    assert "the times were probably rounded to seconds, ids were misread, or several objects have one id" in message
     assert not check_log(load(drive(sightings=text("t,id,range,bearing", [*rows, (9.0, 4, 1.0, 0.1)]))))
 
 

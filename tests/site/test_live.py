@@ -264,6 +264,14 @@ def test_without_the_engine_the_text_remains(open_page: Open, folder: Path) -> N
         hidden.rename(folder / "engine")
 
 
+def test_a_page_that_is_opened_as_a_file_says_what_it_needs(open_page: Open, folder: Path) -> None:
+    page = open_page("graph", "loop", language="ja")
+    page.send("Page.navigate", url=(folder / "page.html").as_uri())
+    page.wait_for("document.querySelector('.live-missing') !== null")
+    assert "Webサーバ" in page.evaluate(f"{FIGURE}.innerText")
+    page.events.clear()
+
+
 def test_figures_fit_on_a_phone(open_page: Open) -> None:
     page = open_page("graph", "loop", language="ja")
     page.resize(390, 844)

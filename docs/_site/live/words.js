@@ -1,8 +1,6 @@
 // The words of the figures in both languages.
 const WORDS = {
   en: {
-    missing: "This figure needs the engine as WebAssembly, which this copy of the site does not have, or a browser that may load it: "
-      + "build the site with <code>make docs</code> and open it through a web server, for example <code>python -m http.server</code>.",
     pose: "pose", landmark: "landmark", comma: ", ", stop: ". ",
     move: "arrow keys move it, Shift with an arrow key to the left or right turns it",
     moveLandmark: "arrow keys move it, and its sightings are measured anew",
@@ -55,8 +53,6 @@ const WORDS = {
     ownLegend: "Line: the trajectory. Dashed: dead reckoning. Crosses: the landmarks. The noise is the book's, and each sighting counts once.",
   },
   ja: {
-    missing: "この図には、WebAssemblyにしたエンジンと、それを読み込めるブラウザが必要です。このサイトには見つかりませんでした。"
-      + "<code>make docs</code> でサイトを作り、<code>python -m http.server</code> などのWebサーバ経由で開いてください。",
     pose: "姿勢", landmark: "ランドマーク", comma: "、", stop: "。",
     move: "矢印キーで動かし、Shiftキーと左右の矢印キーで回します",
     moveLandmark: "矢印キーで動かすと、センサ値を測り直します",
