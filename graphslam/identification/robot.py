@@ -60,7 +60,8 @@ from .sighting_errors import (
     inflation,
     smoothed,
 )
-from .slips import Slip, slip_of_drive, uneven_of, without_slips
+from .slips import MOST as MOST_SLIPS
+from .slips import Slip, slip_of_drive, uneven_of, without_contradicted, without_slips
 from .unknowns import Unknowns
 
 #: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare
@@ -356,6 +357,8 @@ def _local(
         return fit(Unknowns(noisier, episodes, sensor, start), ROUNDS[1])[0]
 
     local, log, slips, _ = without_slips(local, log, slip_of_drive, again, gain_over)
+    local, log, more = without_contradicted(local, log, again, MOST_SLIPS - len(slips))
+    slips += more
     doubtful = alone.copy()
     doubtful[np.flatnonzero(local.used)] |= local.linearized().edges[1].squares > CONTRADICTS
     return log, local, doubtful, alone, slips

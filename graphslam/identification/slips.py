@@ -12,6 +12,8 @@ right. D is one of four (`_errors`): a constant error of the speed or of the tur
 them. Sums of u and P over cells of a second give all stretches at once. What is constant over the whole drive is a bias, and
 is projected out.
 
+`without_contradicted` finds slips that this test cannot see, because nearly all sightings of the stretch count little.
+
 `uneven_of` tests in the same way whether a scale of the odometry differs between driving forward and in reverse, or between
 left and right turns. D is the derivative by a part of |u| of the controls u. Such a difference counts where the likelihood
 with the controls corrected is larger by enough, each with the noise that fits best.
@@ -352,6 +354,72 @@ def uneven_of(fitted: Unknowns) -> Uneven | None:
 def _differences(solved: Unknowns) -> tuple[Array, Array, Array]:
     """z, the difference and its standard error (2,) of speeds and of turn rates; zero where it is not determined."""
     return each_alone(*scores(solved, 0, -solved.by_differences()))
+
+
+#: a squared Mahalanobis distance beyond which a sighting contradicts its landmark; and the least gain of the log likelihood
+#: by a stretch with a rate of such sightings of its own
+CONTRADICTS, BURST = 30.0, 12.5
+
+
+def contradicted(solved: Unknowns) -> tuple[float, float] | None:
+    """The begin and the end [s] of the stretch in which sightings contradict much more often than elsewhere, if any.
+
+    A slip makes nearly all sightings wrong where odometry is believed to be exact, such as that of wheels that read zero.
+    Weights of Student's t then hide it from `slip_of_drive`. With k of n sightings of a stretch that contradict, and K of all
+    N, its gain (Kulldorff) is l(k, n) + l(K - k, N - n) - l(K, N), l(k, n) = k log(k/n) + (n - k) log(1 - k/n).
+    """
+    log = solved.log
+    assert log.times is not None
+    times = log.times - log.times[0]
+    count = int(np.clip(times[-1] / CELL, 1, CELLS))
+    limits = np.linspace(0.0, times[-1], count + 1)
+    cell = np.clip(np.searchsorted(limits, times[solved.seen_from]) - 1, 0, count - 1)
+    wrong = solved.linearized().edges[1].squares > CONTRADICTS
+    N, K = (np.concatenate([[0], np.cumsum(np.bincount(cell, each, count))]) for each in (np.ones(len(cell)), wrong))
+    a, b = np.triu_indices(count + 1, 1)
+    a, b = (each[b - a <= max(1, LONGEST * count)] for each in (a, b))
+    n, k = N[b] - N[a], K[b] - K[a]
+    gain = _of_rate(k, n) + _of_rate(K[-1] - k, N[-1] - n) - _of_rate(K[-1:], N[-1:])
+    gain[k * N[-1] <= n * K[-1]] = 0.0
+    best = int(np.argmax(gain))
+    if gain[best] < BURST:
+        return None
+    return float(limits[max(a[best] - 1, 0)]), float(limits[min(b[best] + 1, count)])
+
+
+def _of_rate(k: Array, n: Array) -> Array:
+    """The largest log likelihood l(k, n) of k of n events (K,)."""
+    rate = np.clip(k / np.maximum(n, 1), 1e-12, 1 - 1e-12)
+    return k * np.log(rate) + (n - k) * np.log1p(-rate)
+
+
+def without_contradicted(
+    problem: Unknowns, log: Log, again: Callable[[Unknowns, Log], Unknowns], most: int
+) -> tuple[Unknowns, Log, tuple[Slip, ...]]:
+    """The problem with more noise of the controls in at most so many stretches that `contradicted` finds.
+
+    The speed or the turn rate there may have any error. The gain of the likelihood decides; z is the root of twice the gain.
+    """
+    found: tuple[Slip, ...] = ()
+    while len(found) < most and (stretch := contradicted(problem)) is not None:
+        assert log.controls is not None
+        largest = np.abs(log.controls).max(axis=0)
+        wide = [Slip(*stretch, column, float(largest[column]), 0.0) for column in (0, 1) if largest[column] > 0]
+        trials = [again(problem, with_slip(log, slip)) for slip in wide]
+        same = again(problem, log)
+        gains = [gain_over(trial, same) for trial in trials]
+        best = int(np.argmax(gains))
+        if gains[best] < GAINED:
+            break
+        begin, end = stretch
+        times = trials[best].log.times - trials[best].log.times[0]
+        inside = (times[1:] > begin) & (times[:-1] < end)
+        e = trials[best].motions().residuals[inside].sum(axis=0)
+        size = np.hypot(*e[:2]) if wide[best].column == 0 else abs(e[2])
+        slip = replace(wide[best], rate=float(size / (end - begin)), z=float((2 * gains[best]) ** 0.5))
+        log = with_slip(log, slip)
+        problem, found = again(trials[best], log), (*found, slip)
+    return problem, log, found
 
 
 def without_slips(

@@ -62,6 +62,22 @@ def test_a_known_robot_that_slips_is_corrected(seed, kind, monkeypatch):
         assert ate(truth, wrong.poses) > 2 * ate(truth, solution.poses)
 
 
+@pytest.mark.parametrize("seed", [1015, pytest.param(1010, marks=pytest.mark.nightly)])
+def test_wheels_that_read_zero_while_the_robot_moves(seed, monkeypatch):
+    """Such odometry is nearly exact by every model, so that sightings seem to be wrong instead, and count little."""
+    log, _ = drive(seed, column=0, factor=0.0, between=(40.0, 48.0))
+    found = estimate_robot(log)
+    solution = solve(Graph.from_log(found.log))
+    assert any(slip.begin < 48 and slip.end > 48 and slip.column == 0 for slip in found.slips)
+    assert ate(log.true_poses, solution.poses) < 2 * solution.expected_ate
+    monkeypatch.setattr(
+        "graphslam.identification.robot.without_contradicted", lambda solved, log, *_: (solved, log, ())
+    )
+    assert ate(log.true_poses, solve(Graph.from_log(estimate_robot(log).log)).poses) > 5 * ate(
+        log.true_poses, solution.poses
+    )
+
+
 @pytest.mark.parametrize("seed", [1002, pytest.param(1004, marks=pytest.mark.nightly)])
 def test_a_robot_that_is_carried_far_is_said(seed):
     """Between two parts of a drive somebody carries the robot for 12 and 18 m, of which the odometry knows nothing."""
