@@ -57,6 +57,7 @@ from .sighting_errors import (
     checked_ids,
     correlations,
     evened,
+    excess,
     inflation,
     smoothed,
 )
@@ -411,10 +412,21 @@ def _everywhere(fitted: Unknowns, log: Log) -> Unknowns:
 
 
 def _correlations(log: Log, sparse: Log, used: np.ndarray, fitted: Unknowns, rng: np.random.Generator) -> np.ndarray:
-    """The `smoothed` correlations (B,) of errors, from the solution of few sightings ``sparse``, (M,) bool ``used``."""
+    """The `smoothed` correlations (B,) of errors, from the solution of few sightings ``sparse``, (M,) bool ``used``.
+
+    All are zero where no `excess` is significant.
+    """
     part = _beginning(log, MOST_CORRELATED)
+    every = Unknowns(part, part.landmarks, fitted.sensor, fitted)
+    every.iterate(2)
+    every.hide(every.linearized())
+    every.iterate(1)
+    more = excess(every, rng)
+    if more is None:
+        return np.zeros(len(LAGS) - 1)
     whole = _everywhere(fitted, sparse.at_steps(np.arange(part.num_poses)))
-    return smoothed(correlations(part, whole, used[: len(part.steps)], rng))
+    # where errors last, both are too small, because either solution follows them
+    return smoothed(np.fmax(more, correlations(part, whole, used[: len(part.steps)], rng)))
 
 
 def _is_exact(
