@@ -253,7 +253,7 @@ def better_start(log: Log, start: Unknowns) -> Unknowns | None:
     """
     try:
         usual = fit(Unknowns(log, log.landmarks, start.sensor, start), ROUNDS[0])[0]
-        free = fit(with_sensor_anywhere(usual), ROUNDS[1])[0]
+        free = fit(with_wide_prior(usual, PLACE, ANYWHERE), ROUNDS[1])[0]
         if gain_over(free, usual) <= GAINED * len(usual.seen):
             return None
         moved = np.subtract(corrected_sensor(free.parameters).offset, start.sensor.offset)
@@ -261,11 +261,6 @@ def better_start(log: Log, start: Unknowns) -> Unknowns | None:
     except (GraphError, np.linalg.LinAlgError):
         # sightings that do not tell the place are no reason to doubt it
         return None
-
-
-def with_sensor_anywhere(unknowns: Unknowns) -> Unknowns:
-    """The same problem with the wide prior of the sensor's place."""
-    return with_wide_prior(unknowns, PLACE, ANYWHERE)
 
 
 def with_wide_prior(unknowns: Unknowns, names: Sequence[str], deviation: float) -> Unknowns:

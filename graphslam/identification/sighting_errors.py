@@ -15,7 +15,7 @@ Errors of scans: a sensor that shakes, or inexact times, give all sightings of o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ import numpy as np
 from ..errors import named
 from ..log import UNIDENTIFIED, Log
 from ..se2 import Array
-from .odometry import Edges, ordinary, sighting_times
+from .odometry import Edges, add_at, ordinary, sighting_times
 from .unknowns import RANGE, Unknowns
 
 #: samples of the covariance of the solution
@@ -244,17 +244,25 @@ def _anywhere(log: Log) -> float:
     return -float(np.sum(np.log(np.maximum(np.ptp(log.sightings, axis=0), 1e-6))))
 
 
-def _pairs(landmarks: np.ndarray, t: Array) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Pairs of sightings of one landmark, from those in the order of landmarks and times: (K,) their rows, and lags in `LAGS`."""
-    lag = 1
+def _products(values: Array, landmarks: np.ndarray, t: Array) -> Array:
+    """The means (B, d, k) over pairs of sightings of one landmark, for the lags between `LAGS`; NaN where there are too few.
+
+    Args:
+        values: (M, d, k), whose products with those of the other sighting count.
+        landmarks, t: (M,), in the order of landmarks and times.
+    """
+    total, count, lag = np.zeros((len(LAGS) - 1, *values.shape[1:])), np.zeros(len(LAGS) - 1), 1
     while lag < len(t):
         lapse = t[lag:] - t[:-lag]
         first = np.flatnonzero((landmarks[lag:] == landmarks[:-lag]) & (lapse < LAGS[-1]))
         if len(first) == 0:
             break
-        yield first, first + lag, np.searchsorted(LAGS[1:-1], lapse[first] - ROUNDING)
+        at = np.searchsorted(LAGS[1:-1], lapse[first] - ROUNDING)
+        add_at(total, at, (values[first] * values[first + lag]).reshape(len(first), -1))
+        count += np.bincount(at, minlength=len(count))
         # neighbours one by one, and then a part of the many that are far apart
         lag += 1 if lag < 8 else lag // 4
+    return total / np.where(count < FEWEST, np.nan, count)[:, None, None]
 
 
 def excess(every: Unknowns, rng: np.random.Generator) -> Array | None:
@@ -279,17 +287,10 @@ def excess(every: Unknowns, rng: np.random.Generator) -> Array | None:
     if not squares.all():
         # sightings that are all alike
         return None
-    t = sighting_times(every.log)[every.used]
-    order = np.lexsort((np.arange(len(t)), every.seen))
-    e = (e / np.sqrt(squares))[order]
-    total, count = np.zeros((len(LAGS) - 1, SAMPLES + 1)), np.zeros(len(LAGS) - 1)
-    for first, second, at in _pairs(every.seen[order], t[order]):
-        products = np.mean(e[first] * e[second], axis=1)
-        for b in np.unique(at):
-            total[b] += products[at == b].sum(axis=0)
-        count += np.bincount(at, minlength=len(count))
-    rho, drawn = np.split(total / np.maximum(count, 1)[:, None], [1], axis=1)
-    more = np.where(count < FEWEST, np.nan, rho[:, 0] - drawn.mean(axis=1))
+    order, t = np.argsort(every.seen, kind="stable"), sighting_times(every.log)[every.used]
+    products = _products((e / np.sqrt(squares))[order], every.seen[order], t[order])
+    rho, drawn = np.split(products.mean(axis=1), [1], axis=1)
+    more = rho[:, 0] - drawn.mean(axis=1)
     significant = more > SIGNIFICANT * drawn.std(axis=1, ddof=1)
     return more if significant[:SHORT].any() else None
 
@@ -307,8 +308,7 @@ def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.
     silent = np.flatnonzero(~ordinary(log))
     reliable[silent], reliable[silent + 1] = False, False
     rows = np.flatnonzero(np.isin(log.landmarks, unknowns.ids) & ~used & reliable[log.steps])
-    order = np.lexsort((rows, log.landmarks[rows]))
-    rows = rows[order]
+    rows = rows[np.argsort(log.landmarks[rows], kind="stable")]
     if len(rows) < FEWEST:
         return np.full(len(LAGS) - 1, np.nan)
     edges, errors = Predictions(unknowns, rng).compare(log, rows, np.searchsorted(unknowns.ids, log.landmarks[rows]))
@@ -322,12 +322,9 @@ def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.
         return np.full(len(LAGS) - 1, np.nan)
     own = np.maximum(whole - predicted, 1e-3 * whole)
     share = np.clip(own / whole, 0.02, 1.0) ** 2
-    total, count = np.zeros(len(LAGS) - 1), np.zeros(len(LAGS) - 1)
-    for first, second, at in _pairs(log.landmarks[rows], sighting_times(log)[rows]):
-        products = e[first] * e[second] - np.mean(errors[first] * errors[second], axis=2)
-        total += np.bincount(at, products @ share / float(own @ share), len(total))
-        count += np.bincount(at, minlength=len(count))
-    return np.where(count < FEWEST, np.nan, total / np.maximum(count, 1))
+    both = np.concatenate([e[:, :, None], errors], axis=2)
+    products, predictions = np.split(_products(both, log.landmarks[rows], sighting_times(log)[rows]), [1], axis=2)
+    return (products[:, :, 0] - predictions.mean(axis=2)) @ share / float(own @ share)
 
 
 def smoothed(rho: Array) -> Array:
@@ -338,10 +335,7 @@ def smoothed(rho: Array) -> Array:
         last = last if np.isnan(rho[b]) else float(np.clip(rho[b], 0.0, 0.95))
         filled[b] = last
     filled = np.minimum.accumulate(filled)
-    small = np.flatnonzero(filled < INDEPENDENT)
-    if len(small):
-        filled[small[0] :] = 0.0
-    return filled
+    return np.where(filled < INDEPENDENT, 0.0, filled)
 
 
 def inflation(log: Log, rho: Array) -> float:
