@@ -227,6 +227,19 @@ def each_alone(u: Array, P: Array, exact: Array) -> tuple[Array, Array, Array]:
     return np.abs(u) / np.sqrt(information), -u / information, information**-0.5
 
 
+def solved_with(noise: Unknowns, log: Log, groups: np.ndarray, steps: tuple[int, int] = (1, 1)) -> Unknowns:
+    """The solution of another log of the same drive, or with other landmarks (M,), with this noise.
+
+    Args:
+        steps: how many before it is known what edges hide (`Unknowns.hide`), and after that.
+    """
+    solved = Unknowns(log, groups, noise.sensor, noise)
+    solved.iterate(steps[0])
+    solved.hide(solved.linearized())
+    solved.iterate(steps[1])
+    return solved
+
+
 def refitted(fitted: Unknowns, log: Log) -> Unknowns:
     """`fit` of a solution with another log of the same sightings."""
     return fit(Unknowns(log, log.landmarks, fitted.sensor, fitted), REFITTED)[0]

@@ -32,7 +32,7 @@ from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
 from .declared import KINDS, ParameterEstimate
 from .odometry import Odometry, sighting_times
-from .restricted_likelihood import better_start, fit, gain_over, hold_needless, numbers_on_motion
+from .restricted_likelihood import better_start, fit, gain_over, hold_needless, numbers_on_motion, solved_with
 from .result import (
     BOOK_NOISE,
     DEAD_RECKONING,
@@ -402,13 +402,7 @@ def _joined(log: Log, sensor: SensorModel, start: Unknowns, rounds: int) -> tupl
 
 def _everywhere(fitted: Unknowns, log: Log) -> Unknowns:
     """The solution of `_joined` with all poses of its log."""
-    if fitted.poses == log.num_poses:
-        return fitted
-    whole = Unknowns(log, log.landmarks, fitted.sensor, fitted)
-    whole.iterate(1)
-    whole.hide(whole.linearized())
-    whole.iterate(1)
-    return whole
+    return fitted if fitted.poses == log.num_poses else solved_with(fitted, log, log.landmarks)
 
 
 def _correlations(log: Log, sparse: Log, used: np.ndarray, fitted: Unknowns, rng: np.random.Generator) -> np.ndarray:
@@ -417,11 +411,7 @@ def _correlations(log: Log, sparse: Log, used: np.ndarray, fitted: Unknowns, rng
     All are zero where no `excess` is significant.
     """
     part = _beginning(log, MOST_CORRELATED)
-    every = Unknowns(part, part.landmarks, fitted.sensor, fitted)
-    every.iterate(2)
-    every.hide(every.linearized())
-    every.iterate(1)
-    more = excess(every, rng)
+    more = excess(solved_with(fitted, part, part.landmarks, (2, 1)), rng)
     if more is None:
         return np.zeros(len(LAGS) - 1)
     whole = _everywhere(fitted, sparse.at_steps(np.arange(part.num_poses)))
