@@ -119,8 +119,7 @@ def noise_of(
 
 def with_book(log: Log, error: Exception) -> Log:
     """The log with a note why its noise is the book's."""
-    note = f"{BOOKS}, because noise cannot be estimated: {error}"
-    return log.replace(notes=(*log.notes, note))
+    return log.replace(notes=(*log.notes, f"{BOOKS}, because noise cannot be estimated: {error}"))
 
 
 def not_used(log: Log) -> tuple[str, ...]:

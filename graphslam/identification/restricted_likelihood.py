@@ -227,6 +227,19 @@ def each_alone(u: Array, P: Array, exact: Array) -> tuple[Array, Array, Array]:
     return np.abs(u) / np.sqrt(information), -u / information, information**-0.5
 
 
+def solved_with(noise: Unknowns, log: Log, groups: np.ndarray, steps: tuple[int, int] = (1, 1)) -> Unknowns:
+    """The solution of another log of the same drive, or with other landmarks (M,), with this noise.
+
+    Args:
+        steps: how many before it is known what edges hide (`Unknowns.hide`), and after that.
+    """
+    solved = Unknowns(log, groups, noise.sensor, noise)
+    solved.iterate(steps[0])
+    solved.hide(solved.linearized())
+    solved.iterate(steps[1])
+    return solved
+
+
 def refitted(fitted: Unknowns, log: Log) -> Unknowns:
     """`fit` of a solution with another log of the same sightings."""
     return fit(Unknowns(log, log.landmarks, fitted.sensor, fitted), REFITTED)[0]
@@ -253,7 +266,7 @@ def better_start(log: Log, start: Unknowns) -> Unknowns | None:
     """
     try:
         usual = fit(Unknowns(log, log.landmarks, start.sensor, start), ROUNDS[0])[0]
-        free = fit(with_sensor_anywhere(usual), ROUNDS[1])[0]
+        free = fit(with_wide_prior(usual, PLACE, ANYWHERE), ROUNDS[1])[0]
         if gain_over(free, usual) <= GAINED * len(usual.seen):
             return None
         moved = np.subtract(corrected_sensor(free.parameters).offset, start.sensor.offset)
@@ -261,11 +274,6 @@ def better_start(log: Log, start: Unknowns) -> Unknowns | None:
     except (GraphError, np.linalg.LinAlgError):
         # sightings that do not tell the place are no reason to doubt it
         return None
-
-
-def with_sensor_anywhere(unknowns: Unknowns) -> Unknowns:
-    """The same problem with the wide prior of the sensor's place."""
-    return with_wide_prior(unknowns, PLACE, ANYWHERE)
 
 
 def with_wide_prior(unknowns: Unknowns, names: Sequence[str], deviation: float) -> Unknowns:

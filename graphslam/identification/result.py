@@ -27,6 +27,7 @@ from ..se2 import Array
 from .corrections import corrected_log, honest_variances, without_biases
 from .declared import KINDS, PLACE, ParameterEstimate
 from .odometry import NOISE, sighting_times
+from .restricted_likelihood import solved_with
 from .sensor_errors import Lens, Turn, turned_back, undistorted
 from .sighting_errors import LAGS, Ids, Predictions, RangeErrors, common_errors, evened
 from .slips import Slip, Uneven, levelled, with_slip
@@ -101,10 +102,7 @@ def _log_densities(drive: Log, candidate: Unknowns, rng: np.random.Generator) ->
         # landmarks of their own, seen once, so that they are no nodes
         own = len(names) + np.arange(len(landmarks))
         try:
-            rest = Unknowns(drive, np.where(fold == k, own, landmarks.ravel()), candidate.sensor, candidate)
-            rest.iterate(STEPS[0])
-            rest.hide(rest.linearized())
-            rest.iterate(STEPS[1])
+            rest = solved_with(candidate, drive, np.where(fold == k, own, landmarks.ravel()), STEPS)
             rows = np.flatnonzero((fold == k) & np.isin(landmarks.ravel(), rest.ids))
             edges, errors = Predictions(rest, rng).compare(
                 drive, rows, np.searchsorted(rest.ids, landmarks.ravel()[rows])

@@ -32,7 +32,7 @@ from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
 from .declared import KINDS, ParameterEstimate
 from .odometry import Odometry, sighting_times
-from .restricted_likelihood import better_start, fit, gain_over, hold_needless, numbers_on_motion
+from .restricted_likelihood import better_start, fit, gain_over, hold_needless, numbers_on_motion, solved_with
 from .result import (
     BOOK_NOISE,
     DEAD_RECKONING,
@@ -57,6 +57,7 @@ from .sighting_errors import (
     checked_ids,
     correlations,
     evened,
+    excess,
     inflation,
     smoothed,
 )
@@ -404,20 +405,21 @@ def _joined(log: Log, sensor: SensorModel, start: Unknowns, rounds: int) -> tupl
 
 def _everywhere(fitted: Unknowns, log: Log) -> Unknowns:
     """The solution of `_joined` with all poses of its log."""
-    if fitted.poses == log.num_poses:
-        return fitted
-    whole = Unknowns(log, log.landmarks, fitted.sensor, fitted)
-    whole.iterate(1)
-    whole.hide(whole.linearized())
-    whole.iterate(1)
-    return whole
+    return fitted if fitted.poses == log.num_poses else solved_with(fitted, log, log.landmarks)
 
 
 def _correlations(log: Log, sparse: Log, used: np.ndarray, fitted: Unknowns, rng: np.random.Generator) -> np.ndarray:
-    """The `smoothed` correlations (B,) of errors, from the solution of few sightings ``sparse``, (M,) bool ``used``."""
+    """The `smoothed` correlations (B,) of errors, from the solution of few sightings ``sparse``, (M,) bool ``used``.
+
+    All are zero where no `excess` is significant.
+    """
     part = _beginning(log, MOST_CORRELATED)
+    more = excess(solved_with(fitted, part, part.landmarks, (2, 1)), rng)
+    if more is None:
+        return np.zeros(len(LAGS) - 1)
     whole = _everywhere(fitted, sparse.at_steps(np.arange(part.num_poses)))
-    return smoothed(correlations(part, whole, used[: len(part.steps)], rng))
+    # where errors last, both are too small, because either solution follows them
+    return smoothed(np.fmax(more, correlations(part, whole, used[: len(part.steps)], rng)))
 
 
 def _is_exact(

@@ -23,7 +23,7 @@ import numpy as np
 from ..errors import named
 from ..log import UNIDENTIFIED, Log
 from ..se2 import Array
-from .odometry import Edges, ordinary, sighting_times
+from .odometry import Edges, add_at, ordinary, sighting_times
 from .unknowns import RANGE, Unknowns
 
 #: samples of the covariance of the solution
@@ -45,9 +45,9 @@ LAGS = np.array([0.0, 0.15, 0.4, 1.0, 2.5, 6.0, 15.0, 40.0])
 ROUNDING = 1e-6
 #: errors correlated by less than this count as independent, and correlations of fewer pairs than this are not computed
 INDEPENDENT, FEWEST = 0.1, 20
-#: errors are correlated where rho of one of this number of the shortest lags is above the second number of its standard
-#: errors
-SHORT, SIGNIFICANT = 5, 2.0
+#: errors are correlated where the `excess` of one of this number of the shortest lags is above the second number of its
+#: standard deviations
+SHORT, SIGNIFICANT = 5, 4.0
 #: residuals are clipped to this [standard deviations], and ranges beyond are far too long or too short
 FAR = 3.0
 #: bearings within this fit [standard deviations]. Long ranges are reflections where their excess over short ones is above so
@@ -244,11 +244,61 @@ def _anywhere(log: Log) -> float:
     return -float(np.sum(np.log(np.maximum(np.ptp(log.sightings, axis=0), 1e-6))))
 
 
-def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.Generator) -> Array:
-    """rho of the errors of one landmark for the lags between `LAGS`, NaN where there are too few pairs.
+def _products(values: Array, landmarks: np.ndarray, t: Array) -> Array:
+    """The means (B, d, k) over pairs of sightings of one landmark, for the lags between `LAGS`; NaN where there are too few.
 
-    The numbers of a sighting count together, each by how much of its residuals is the sensor's own noise. All are zero where
-    none is significant: their standard errors come from the differences between landmarks, whose errors are independent.
+    Args:
+        values: (M, d, k), whose products with those of the other sighting count.
+        landmarks, t: (M,), in the order of landmarks and times.
+    """
+    total, count, lag = np.zeros((len(LAGS) - 1, *values.shape[1:])), np.zeros(len(LAGS) - 1), 1
+    while lag < len(t):
+        lapse = t[lag:] - t[:-lag]
+        first = np.flatnonzero((landmarks[lag:] == landmarks[:-lag]) & (lapse < LAGS[-1]))
+        if len(first) == 0:
+            break
+        at = np.searchsorted(LAGS[1:-1], lapse[first] - ROUNDING)
+        add_at(total, at, (values[first] * values[first + lag]).reshape(len(first), -1))
+        count += np.bincount(at, minlength=len(count))
+        # neighbours one by one, and then a part of the many that are far apart
+        lag += 1 if lag < 8 else lag // 4
+    return total / np.where(count < FEWEST, np.nan, count)[:, None, None]
+
+
+def excess(every: Unknowns, rng: np.random.Generator) -> Array | None:
+    """By how much residuals of one landmark are more correlated than independent errors make them, for the lags of `LAGS`.
+
+    Independent errors w have correlated residuals r = w - J Omega^-1 J' W w, because nodes and parameters are fitted to them.
+    How much, and how much that varies between drives, comes from samples of r. With all sightings the fitted part is small,
+    so that it hardly matters how well its covariance is known.
+
+    Args:
+        every: solved with all sightings, and with the noise of few that are far apart.
+
+    Returns:
+        The differences (B,), NaN where there are too few pairs; None where none is significant.
+    """
+    linear = every.linearized()
+    sightings, (nodes, values, errors) = linear.edges[1], linear.drawn(SAMPLES, rng)
+    e = np.concatenate([sightings.residuals[:, :, None], errors - sightings.moved(nodes, values)], axis=2)
+    e /= np.sqrt(np.diagonal(every.covariances(sightings), axis1=1, axis2=2))[:, :, None]
+    e = np.clip(e, -FAR, FAR)
+    squares = np.mean(e**2, axis=0)
+    if not squares.all():
+        # sightings that are all alike
+        return None
+    order, t = np.argsort(every.seen, kind="stable"), sighting_times(every.log)[every.used]
+    products = _products((e / np.sqrt(squares))[order], every.seen[order], t[order])
+    rho, drawn = np.split(products.mean(axis=1), [1], axis=1)
+    more = rho[:, 0] - drawn.mean(axis=1)
+    significant = more > SIGNIFICANT * drawn.std(axis=1, ddof=1)
+    return more if significant[:SHORT].any() else None
+
+
+def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.Generator) -> Array:
+    """rho of the errors of one landmark for the lags between `LAGS`, NaN where there are too few pairs; see `excess`.
+
+    The numbers of a sighting count together, each by how much of its residuals is the sensor's own noise.
 
     Args:
         used: (M,) bool: the sightings that the solution has used.
@@ -258,8 +308,7 @@ def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.
     silent = np.flatnonzero(~ordinary(log))
     reliable[silent], reliable[silent + 1] = False, False
     rows = np.flatnonzero(np.isin(log.landmarks, unknowns.ids) & ~used & reliable[log.steps])
-    order = np.lexsort((rows, log.landmarks[rows]))
-    rows = rows[order]
+    rows = rows[np.argsort(log.landmarks[rows], kind="stable")]
     if len(rows) < FEWEST:
         return np.full(len(LAGS) - 1, np.nan)
     edges, errors = Predictions(unknowns, rng).compare(log, rows, np.searchsorted(unknowns.ids, log.landmarks[rows]))
@@ -267,32 +316,15 @@ def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.
     e, errors = edges.residuals / noise, errors / noise[:, :, None]
     far = np.minimum(1.0, FAR / np.maximum(np.abs(e), 1e-9))
     e, errors = e * far, errors * far[:, :, None]
-    t, landmarks = sighting_times(log)[rows], log.landmarks[rows]
     whole, predicted = np.mean(e**2, axis=0), np.mean(errors**2, axis=(0, 2))
     if not whole.all():
         # sightings that are all alike, whose errors are exactly zero
         return np.full(len(LAGS) - 1, np.nan)
     own = np.maximum(whole - predicted, 1e-3 * whole)
     share = np.clip(own / whole, 0.02, 1.0) ** 2
-    group = np.unique(landmarks, return_inverse=True)[1].ravel()
-    total, count = np.zeros((group[-1] + 1, len(LAGS) - 1)), np.zeros((group[-1] + 1, len(LAGS) - 1))
-    lag = 1
-    while lag < len(rows):
-        lapse = t[lag:] - t[:-lag]
-        first = np.flatnonzero((landmarks[lag:] == landmarks[:-lag]) & (lapse < LAGS[-1]))
-        if len(first) == 0:
-            break
-        second, at = first + lag, np.searchsorted(LAGS[1:-1], lapse[first] - ROUNDING)
-        products = e[first] * e[second] - np.mean(errors[first] * errors[second], axis=2)
-        np.add.at(total, (group[first], at), products @ share / float(own @ share))
-        np.add.at(count, (group[first], at), 1)
-        # neighbours one by one, and then a part of the many that are far apart
-        lag += 1 if lag < 8 else lag // 4
-    pairs = np.maximum(count.sum(axis=0), 1)
-    rho = total.sum(axis=0) / pairs
-    error = np.sqrt(np.sum((total - rho * count) ** 2, axis=0)) / pairs
-    significant = np.any((rho > SIGNIFICANT * error)[:SHORT])
-    return np.where(count.sum(axis=0) < FEWEST, np.nan, rho if significant else 0.0)
+    both = np.concatenate([e[:, :, None], errors], axis=2)
+    products, predictions = np.split(_products(both, log.landmarks[rows], sighting_times(log)[rows]), [1], axis=2)
+    return (products[:, :, 0] - predictions.mean(axis=2)) @ share / float(own @ share)
 
 
 def smoothed(rho: Array) -> Array:
@@ -303,10 +335,7 @@ def smoothed(rho: Array) -> Array:
         last = last if np.isnan(rho[b]) else float(np.clip(rho[b], 0.0, 0.95))
         filled[b] = last
     filled = np.minimum.accumulate(filled)
-    small = np.flatnonzero(filled < INDEPENDENT)
-    if len(small):
-        filled[small[0] :] = 0.0
-    return filled
+    return np.where(filled < INDEPENDENT, 0.0, filled)
 
 
 def inflation(log: Log, rho: Array) -> float:

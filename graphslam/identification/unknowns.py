@@ -473,16 +473,22 @@ class Linear(Bordered):
         return total + crossed + np.swapaxes(crossed, 1, 2) + spread @ np.swapaxes(spread, 1, 2)
 
     def samples(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Errors of nodes (n, 3, count) and parameters (K, count), drawn from the covariance of the solution.
+        """Errors of nodes (n, 3, count) and parameters (K, count), drawn from the covariance of the solution."""
+        return self.drawn(count, rng)[:2]
+
+    def drawn(self, count: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+        """`samples`, and the errors W^(-1/2) w (M, d, count) of the sightings from which they follow.
 
         The solution of sum B' W^(1/2) w with random signs w has the covariance Omega^-1.
         """
-        nodes = np.zeros((*self.xi.shape, count))
+        nodes, errors = np.zeros((*self.xi.shape, count)), np.zeros(0)
         values = self.prior[:, None] ** 0.5 * rng.choice([-1.0, 1.0], size=(len(self.prior), count))
         for each in self.edges:
+            root = np.linalg.cholesky(each.information)
             signs = rng.choice([-1.0, 1.0], size=(*each.residuals.shape, count))
-            values += each.pull(np.linalg.cholesky(each.information) @ signs, nodes)
-        return self.solve(nodes, values)
+            values += each.pull(root @ signs, nodes)
+            errors = np.linalg.solve(np.swapaxes(root, 1, 2), signs)
+        return *self.solve(nodes, values), errors
 
 
 def _factorized(system: BlockSystem, name: str) -> Factor:

@@ -7,8 +7,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from error_rates import bound
 
-from graphslam import Drive, SensorModel
+from graphslam import Drive, SensorModel, estimate_robot
 from graphslam.identification import restricted_likelihood
 from graphslam.identification import unknowns as unknowns_module
 from graphslam.identification.declared import KINDS, PLACE
@@ -22,6 +23,7 @@ from graphslam.identification.unknowns import (
     Linear,
     Unknowns,
 )
+from graphslam.simulation.worlds import SENSORS
 
 
 def test_the_jacobians_are_those_of_finite_differences() -> None:
@@ -194,3 +196,38 @@ def test_biases_that_the_log_does_not_tell_stay_uncertain(monkeypatch: pytest.Mo
     expected = np.sqrt(deviations / (priors + deviations)) * deviations
     assert np.all(held[~told] > expected[~told]) and np.all(held[~told] < 1.01 * expected[~told])
     assert np.all(held[told] < 0.02 * priors[told])
+
+
+def test_drawn_errors_leave_the_residuals_of_the_solution() -> None:
+    """Their covariance is that of the errors minus that of the fitted part, here in one sum for all sightings."""
+    log, _ = Drive(seed=8, duration=30.0, landmarks=12, misread=0.0).simulate()
+    unknowns = Unknowns(log, log.landmarks, SensorModel())
+    unknowns.iterate(3)
+    linear, count = unknowns.linearized(), 2000
+    nodes, values, errors = linear.drawn(count, np.random.default_rng(0))
+    edges = linear.edges[1]
+    left = errors - edges.moved(nodes, values)
+    sampled = np.einsum("eik,eij,ejk->", left, edges.information, left) / count
+    expected = errors.shape[0] * errors.shape[1] - np.sum(edges.information * linear.fitted(edges))
+    # a sample has the variance 2 tr(M²) <= 2 tr(M) at most
+    assert abs(sampled - expected) < bound(2) * (2 * expected / count) ** 0.5
+
+
+@pytest.mark.parametrize("seed", [1, 5, 21])
+def test_independent_errors_of_few_sightings_do_not_seem_to_last(seed: int) -> None:
+    robot = Drive(
+        seed=seed,
+        duration=100.0,
+        landmarks=40,
+        misread=0.0,
+        sensor_rate=2.0,
+        odometry_rate=20.0,
+        sensor=SENSORS["laser"],
+    )
+    # by the covariances of predictions from few of them, 4.5 to 6.9 sightings counted as one
+    assert estimate_robot(robot.simulate()[0]).inflation == 1.0
+
+
+def test_lasting_errors_that_few_sightings_follow_are_found() -> None:
+    """A part of 0.72 of the variance lasts 58 s, and 401 sightings are all there is."""
+    assert estimate_robot(Drive.random(1029).simulate()[0]).inflation > 2.0
