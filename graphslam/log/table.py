@@ -432,9 +432,9 @@ def ordered(
         k = int(np.argmax(restarts)) if restarts.any() else int(jumps[0])
         cause = "does the table hold two drives, or a clock that was set? Import each part alone"
         how = f"by {(reached[k] - ns[k]) / 1e9:.3g} s: {cause}"
-        if len(jumps) > 2:
+        if (count := np.count_nonzero(back)) > 2:
             cause = "sort the rows by their time if they are of one drive, or import each drive alone"
-            how = f"{len(jumps)} times: {cause}"
+            how = f"{count} times: {cause}"
         raise table.error(int(rows[k]), f"the time goes back {how}")
     note = f"{table.place(int(rows[k + 1]))}: time runs backwards ({times}); the rows were sorted"
     order = np.argsort(ns, kind="stable")
