@@ -412,9 +412,8 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     others = [role for role in ("range", "bearing") if not cartesian and not reader.has(role)]
     # what is missing, as far as there are columns that may be it
     reader.need("t", *(others if not reader.has("t") and len(reader.unused) > len(others) else ()))
-    taken, doubted = tuple[str, ...](), tuple[cells.Doubt, ...]()
     if cartesian:
-        axes, taken, doubted = chosen_axes(reader.table, reader.found, options.axes)
+        axes = chosen_axes(reader.table, reader.found, options.axes)
         options = reader.options = replace(options, axes=axes)
     plane = ("x", "z") if options.axes == "optical" else ("x", "y")
     measured = plane if cartesian else ("range", "bearing")
@@ -457,11 +456,11 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     ns, order, more = ordered(reader.table, ns)
     ids, rows = found.numbers[order], rows[order]
     rows[:, 1:] = wrap(rows[:, 1:])
-    doubts = doubted + cells.repeated_sightings(table, ns, ids, rows, np.arange(len(ns))[order])
+    doubts = cells.repeated_sightings(table, ns, ids, rows, np.arange(len(ns))[order])
     doubts += reader.answered(range="range unit", x="range unit")
     classes, remarks = reader.classes()
     classes = None if classes is None else classes[order]
-    notes = (*found.notes, *taken, *empty, *more, *remarks)
+    notes = (*found.notes, *empty, *more, *remarks)
     return Timed(table, ns, rows, reader.described(), ids, notes, doubts, classes, found.names)
 
 

@@ -250,7 +250,7 @@ class TableOptions:
     )  # fmt: skip
     axes: str | None = option(
         None, "Directions of x and y of Cartesian sightings; optical is x right, z forward", choices=tuple(AXES),
-        default_text="forward-left; optical where there is a z and the numbers show it",
+        default_text="forward-left; where there is a z, they must be stated",
     )  # fmt: skip
     centre: str = option(
         "sensor", "Where range and bearing, or x and y, of sightings are measured from", choices=("sensor", "robot")

@@ -66,7 +66,7 @@ SOURCES: tuple[Callable[..., Any], ...] = (
     readings.single_pose,
     readings.nothing_measured, given.against_truth, given._headings, given.against_map, ids.misread_ids, ids.ids_of,
     ids.changed_ids, cells.repeated_times, geometry.sideways_poses, geometry.sideways_speed, cells.repeated_sightings,
-    streams._why_few, readings.orientations_of, geometry.chosen_axes,
+    streams._why_few, readings.orientations_of,
 )  # fmt: skip
 #: strings of these functions that are no sentences
 NO_SENTENCES = {

@@ -43,10 +43,6 @@ from graphslam.calibration import Calibration
         "odometry.csv: the robot drives sideways ('vy') for 65% of its way, which controls (nu, omega) leave out: dead "
         "reckoning is wrong, and estimates rest on the sightings; OnlineSolver.move(motion=..., covariance=...) takes "
         "motions in any direction",
-        "tags.csv: x, y and z are taken as right, down and ahead, the axes of a camera (axes='optical'), because y seems to "
-        "be the height of the landmarks; if z is the height, add axes='forward-left'",
-        "tags.csv: axes='optical' is stated, but z rather than y seems to be the height of the landmarks; compare with "
-        "axes='forward-left'",
         "the orientations have the opposite sign, m_theta - theta - phi: read like this, the heading of a landmark changes "
         "by 0.037 instead of 0.19 rad over short ways (median); make them psi = theta + phi - m_theta or leave out their "
         "column",
