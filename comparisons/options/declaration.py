@@ -137,7 +137,7 @@ class EvaluationOptions(Options):
     """
 
     components = {"tables": (TableOptions, "Tables of trajectories")}
-    hidden = ("axes", "centre", "bearings", "sensor_offset", "truth_offset", "track", "sensor_yaw")
+    hidden = ("axes", "centre", "bearings", "sensor_offset", "truth_offset", "sensor_yaw")
     true_map: Path | None = option(
         None, "The true map (.csv, .npz, .yaml, .geojson).", metavar="FILE", default_text="that of a log"
     )

@@ -24,12 +24,9 @@ from ..errors.checks import (
 from ..se2 import Array, wrap
 from . import cells
 from .geometry import (
-    WHEELS,
     chosen_axes,
     controls_between,
-    controls_of,
     counts_turns,
-    motion_of,
     polar,
     seen_from,
     sideways_poses,
@@ -54,7 +51,7 @@ from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, RATES,
 TURNED = "the heading is {:g} rad: does it count many turns, or is it in degrees?"
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
 ROLES = {
-    "odometry": ("t", "date", "nanosec", *WHEELS, "nu", "vy", "omega", *_POSE),
+    "odometry": ("t", "date", "nanosec", "nu", "vy", "omega", *_POSE),
     "sightings": ("t", "date", "nanosec", "id", "class", "range", "bearing", "orientation", "x", "y", "z"),
     "truth": ("t", "date", "nanosec", *_POSE),
     "map": ("id", "x", "y", "theta"),
@@ -103,9 +100,8 @@ class Reader:
     def __init__(self, kind: str, table: Table, options: TableOptions) -> None:
         self.kind, self.table, self.options = kind, table, options
         self.used: dict[str, None] = {}
-        # robots with four wheels have their motion in other columns, and receivers may tell several heights
-        dispensable = ("altitude", *(WHEELS if options.track is None else ()))
-        self.found = find(kind, table, ROLES[kind], options.columns_of(kind), ORDERS[kind], dispensable)
+        # receivers may tell several heights
+        self.found = find(kind, table, ROLES[kind], options.columns_of(kind), ORDERS[kind], ("altitude",))
         if len(table) == 0:
             raise table.error(None, f"there is no row of {kind} in it")
         for role, chosen in self.found.items():
@@ -342,7 +338,7 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
         LogError: a column is missing, a number is none, or the unit is almost certainly another one.
     """
     reader = Reader("odometry", table, options)
-    motion, of_wheels = motion_of(table, reader.found, options.track), tuple[str, ...]()
+    motion = ("x", "y") if reader.has("x", "y") and not reader.has("nu", "omega") else ("nu", "omega")
     needed = motion if "x" not in motion or reader.has("qz", "qw") else (*motion, "theta")
     seen = find("sightings", table, ROLES["sightings"], {}, {}, ROLES["sightings"]).keys()
     if not reader.has(*needed) and {"id", "range", "bearing"} <= seen:
@@ -353,26 +349,23 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     ns = reader.times()
     if "x" not in motion:
         rows = reader.numbers(*motion)
-        fastest = np.abs(rows[:, : 2 if "left" in motion else 1]).max(axis=1)
-        reader.refuse_many(motion[0], fastest, FASTEST, "the speed is {:g} m/s: is it in mm/s?")
-        if "left" in motion:
-            rows, of_wheels = controls_of(table, rows, options.track)
+        reader.refuse_many("nu", np.abs(rows[:, 0]), FASTEST, "the speed is {:g} m/s: is it in mm/s?")
         sideways = _sideways_speed(reader, rows[:, 0])
     else:
         rows = reader.poses()
     ns, order, notes = ordered(reader.table, ns)
     rows = rows[order]
     more, doubts = cells.repeated_times("odometry", table, ns, rows, np.arange(len(ns))[order])
-    notes += of_wheels + more
+    notes += more
     if not reader.stated("t"):
         cells.check_spacing(table, reader.found["t"].column, ns)
     if rows.shape[1] == 3:
         rows, ns, sideways = _controls(reader, rows, ns)
-    elif "omega" in motion:
+    else:
         message = "the turn rate is {:g} rad/s: is it in degrees per second?"
         reader.refuse_many("omega", np.abs(rows[:, 1]), QUICKEST, message)
     speed, turn = "speed unit", "turn rate unit"
-    doubts += sideways + reader.answered(t="time unit", nu=speed, left=speed, x=speed, omega=turn, theta=turn)
+    doubts += sideways + reader.answered(t="time unit", nu=speed, x=speed, omega=turn, theta=turn)
     return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts)
 
 

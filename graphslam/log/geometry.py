@@ -1,11 +1,6 @@
-"""The geometry of robot and sensor, where tables leave it open: the speeds of two wheels, and the axes of places.
+"""The geometry of robot and sensor, where tables leave it open: motions between poses, and the axes of places.
 
-**Wheels.** Columns of the speeds of a left and a right wheel give the controls
-
-    nu = (v_right + v_left) / 2,   omega = (v_right - v_left) / track.
-
-Errors of the track and of the scales of both wheels are errors of nu and omega with constant factors, which the biases
-``wheel_scale``, ``turn_scale`` and ``curvature_bias`` are. The poses of odometry become the controls between them.
+The poses of odometry become the controls between them.
 
 **Latitude and longitude** become metres east and north in the plane that touches the Earth (WGS 84) at a datum, the height of
 which all places are taken to have: with a the half axis, e² the squared eccentricity and N = a / sqrt(1 - e² sin² lat),
@@ -19,16 +14,15 @@ Source: Torge and Müller, *Geodesy*, 4th edition, section 4.1.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import checks, named
 from ..se2 import Array, between, sinc
 from .cells import Doubt
-from .table import Chosen, Table, plain
+from .table import Chosen, Table
 
 if TYPE_CHECKING:
     from .log import Log
@@ -93,75 +87,6 @@ def with_datum(log: Log, datum: Array | None, what: str) -> Log:
         return log
     datums = np.where(np.isnan(positions.datums), np.nan, datum)
     return log.replace(positions=replace(positions, places=places, datums=datums), notes=tuple(dict.fromkeys(notes)))
-
-
-#: the roles of the columns of wheels
-WHEELS = ("left", "right")
-_SIDES = ({"left", "l"}, {"right", "r"})
-_STATE = "columns='odometry.left=NAME,odometry.right=NAME'"
-
-
-def _of_wheels(names: Collection[str]) -> list[str]:
-    """The names of columns of a left and a right wheel; empty unless there are both."""
-    words = {name: set(plain(name)[0].split("_")) for name in names}
-    sides = [[name for name, parts in words.items() if parts & side] for side in _SIDES]
-    return [*sides[0], *sides[1]] if all(sides) else []
-
-
-def motion_of(table: Table, found: Mapping[str, Chosen], track: float | None) -> tuple[str, ...]:
-    """The roles of the columns of the motion: nu and omega, x and y, or the speeds of two wheels, with omega or a track.
-
-    A track says that the speeds of the wheels are used.
-
-    Raises:
-        LogError: columns of wheels cannot be used as they are; with what to state.
-    """
-    has = found.keys()
-    if track is None and {"nu", "omega"} <= has:
-        if table.names and (sides := _of_wheels([table.names[found[role].column] for role in ("nu", "omega")])):
-            state = f"columns='odometry.left={sides[0]},odometry.right={sides[1]}', track=METRES"
-            seem = "seem to be speeds of the left and the right wheel, and not nu and omega, which are made of them"
-            raise table.error(None, f"{named(sides)} {seem}: {state}")
-        return "nu", "omega"
-    if track is None and {"x", "y"} <= has:
-        return "x", "y"
-    if not {*WHEELS} <= has:
-        if track is not None:
-            raise table.error(None, f"there is a track, but no speeds of two wheels; say which they are: {_STATE}")
-        if sides := _of_wheels(table.names):
-            raise table.error(
-                None,
-                f"{named(sides)} seem to be of the left and the right wheel. If they are speeds, add {_STATE}, track=METRES "
-                "(the distance between the wheels); travel and ticks are not read: make speeds of their differences from row "
-                "to row",
-            )
-        return "nu", "omega"
-    titles = " and ".join(table.title(found[role].column) for role in WHEELS)
-    if any(found[role].unit in ("radians", "degrees") for role in WHEELS):
-        message = f"{titles} are turn rates of the wheels; multiply them by the radius, so that they are in m/s"
-        raise table.error(None, message)
-    if track is None and "omega" not in has:
-        message = f"{titles} seem to be the speeds of the left and the right wheel; add the distance between the wheels"
-        raise table.error(None, f"{message}: track=METRES")
-    return (*WHEELS, "omega") if track is None else WHEELS
-
-
-def controls_of(table: Table, speeds: Array, track: float | None) -> tuple[Array, tuple[str, ...]]:
-    """The controls (N, 2) of the speeds (N, 2) of the left and the right wheel, or (N, 3) with the turn rate; and a note.
-
-    Raises:
-        LogError: the robot would turn faster than robots do.
-    """
-    left, right, omega = speeds[:, 0], speeds[:, 1], speeds[:, -1]
-    note = "nu is the mean of the speeds of the left and the right wheel"
-    if track is not None:
-        omega = (right - left) / track
-        if len(omega) and (usual := float(np.quantile(np.abs(omega), 0.95))) > checks.QUICKEST:
-            message = f"by the speeds of the wheels the robot turns by {usual:.3g} rad/s: is track in metres?"
-            raise table.error(None, message)
-        errors = "errors of this track and of the wheels' scales are wheel_scale, turn_scale and curvature_bias"
-        note = f"nu and omega are those of the left and the right wheel, {track:g} m apart; {errors}"
-    return np.column_stack([(left + right) / 2, omega]), (f"{table.source}: {note}",)
 
 
 def controls_between(poses: Array, dt: Array) -> tuple[Array, float]:

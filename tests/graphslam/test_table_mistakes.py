@@ -50,6 +50,11 @@ def test_single_wrong_times_are_left_out_as_before(drive):
     assert any("4 of 200 sightings have a time that is far from those" in note for note in log.notes)
 
 
+def test_speeds_of_two_wheels_are_no_speed_of_the_robot(drive):
+    with pytest.raises(FormatError, match="'left_speed' and 'right_speed' could both be nu"):
+        load(drive(odometry=text("t,left_speed,right_speed", ODOMETRY)))
+
+
 def test_a_truth_that_counts_turns(drive):
     """Headings of many turns are radians where the poses move along them; degrees are refused."""
     theta = 2.0 * T
