@@ -136,7 +136,6 @@ def _parameter(option: Option, language: str = "en") -> inspect.Parameter:
     # several values are one word with commas
     kind: Any = option.each if option.kind in (str, int, float, bool) else str
     off = f"/--no-{option.flag[2:]}" if option.kind is bool and option.default is not False else ""
-    flags = [option.flag + off, *([f"--{option.alias}"] if option.alias else [])]
     # the unit is in the first sentence
     stop, between = (".", ". ") if language == "en" else ("。", "。")
     first, dot, more = in_language(option.help, language).removesuffix(stop).partition(between)
@@ -149,7 +148,7 @@ def _parameter(option: Option, language: str = "en") -> inspect.Parameter:
         # spaces, at which the help breaks lines
         default = in_language(option.default_text, language) or option.text(option.default).replace(",", ", ")
     settings = typer.Option(
-        *flags, help=text.replace("[", r"\["), metavar=option.metavar or None, show_default=default,
+        option.flag + off, help=text.replace("[", r"\["), metavar=option.metavar or None, show_default=default,
         rich_help_panel=in_language(option.panel, language) or None,
     )  # fmt: skip
     return _keyword(option.name, None, Annotated[kind | None, settings])
