@@ -31,11 +31,13 @@ _LARGEST = 2.0**63
 _DATE = re.compile(
     r"(\d{4}[-/]\d\d[-/]\d\d)[T ](\d\d:\d\d:\d\d(?:[.,]\d{1,9})?) ?(?:Z|UTC|GMT|([+-]\d\d):?(\d\d)?)?", re.IGNORECASE
 )
+#: the time of day, where the date has a column of its own, or all rows are of one day
+_DAY_TIME = re.compile(r"\d\d:\d\d:\d\d.*")
 #: a single time this far [s] outside those of both neighbours is wrong
 STRAY = 10
 
 
-def nanoseconds(table: Table, column: int, unit: str | None, kind: str) -> np.ndarray:
+def nanoseconds(table: Table, column: int, unit: str | None, kind: str, day: int | None = None) -> np.ndarray:
     """A column of times (N,) as whole nanoseconds.
 
     Args:
@@ -43,8 +45,10 @@ def nanoseconds(table: Table, column: int, unit: str | None, kind: str) -> np.nd
         column: its number.
         unit: "s", "ms", "us" or "ns"; None: by the size of the numbers, as `by_size`.
         kind: what the table holds, such as "odometry".
+        day: the number of the column of the date, where the table has one; it counts where the times are times of day.
 
-    Dates with the time of day (ISO 8601, "2026-11-22T10:00:00.5Z") are counted from 1970, in UTC where they name no zone.
+    Dates with the time of day (ISO 8601, "2026-11-22T10:00:00.5Z") are counted from 1970, in UTC where they name no zone, and
+    times of day alone from midnight.
 
     Raises:
         LogError: a time is neither a finite number nor a date, or has no place in 64 bits (before 1678 or after 2262).
@@ -52,13 +56,13 @@ def nanoseconds(table: Table, column: int, unit: str | None, kind: str) -> np.nd
     try:
         values = table.numbers([column])[:, 0]
     except LogError:
-        if (dates := _of_dates(table, column, kind)) is not None:
+        if (dates := _of_dates(table, column, kind, day)) is not None:
             return dates
         word = str(table.words(column)[0])
         if re.fullmatch(r"[\d.,eE+-]*", word):
             # the first time is a number, so that a later one is the mistake
             raise
-        date = "or a date with the time of day as in 2026-11-22T10:00:00.5Z"
+        date = "or a date with the time of day as in 2026-11-22T10:00:00.5Z (or in two columns, date and time)"
         message = f"the time {table.title(column)} should be a number, {date}, not {quoted(word)}"
         raise table.error(0, message) from None
     if (bad := np.flatnonzero(~np.isfinite(values))).size:
@@ -114,10 +118,14 @@ def time_faults(values: np.ndarray, title: str, unit: str | None, stray: float =
     ]  # fmt: skip
 
 
-def _of_dates(table: Table, column: int, kind: str) -> np.ndarray | None:
-    """Times (N,) of dates; None where the first is none."""
+def _of_dates(table: Table, column: int, kind: str, day_column: int | None) -> np.ndarray | None:
+    """Times (N,) of dates, or of dates and times of day in two columns; None where the first is none."""
     ns = np.empty(len(table), np.int64)
-    for row, word in enumerate(map(str, table.words(column))):
+    words = [str(word) for word in table.words(column)]
+    if words and _DAY_TIME.fullmatch(words[0]):
+        days = ["1970-01-01"] * len(words) if day_column is None else table.words(day_column)
+        words = [f"{date} {word}" for date, word in zip(days, words)]
+    for row, word in enumerate(words):
         if (match := _DATE.fullmatch(word)) is None:
             if row == 0:
                 return None
@@ -141,7 +149,7 @@ def _of_dates(table: Table, column: int, kind: str) -> np.ndarray | None:
 
 def is_dated(table: Table, column: int) -> bool:
     """Whether times say themselves which unit they have: dates, or durations."""
-    return column in table.units or _DATE.fullmatch(str(table.words(column)[0])) is not None
+    return column in table.units or any(form.fullmatch(str(table.words(column)[0])) for form in (_DATE, _DAY_TIME))
 
 
 def _beyond(table: Table, row: int, column: int, kind: str) -> LogError:

@@ -51,13 +51,13 @@ from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, RATES,
 TURNED = "the heading is {:g} rad: does it count many turns, or is it in degrees?"
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
 ROLES = {
-    "odometry": ("t", "nanosec", "nu", "vy", "omega", *_POSE),
-    "sightings": ("t", "nanosec", "id", "class", "range", "bearing", "orientation", "x", "y", "z"),
-    "truth": ("t", "nanosec", *_POSE),
+    "odometry": ("t", "date", "nanosec", "nu", "vy", "omega", *_POSE),
+    "sightings": ("t", "date", "nanosec", "id", "class", "range", "bearing", "orientation", "x", "y", "z"),
+    "truth": ("t", "date", "nanosec", *_POSE),
     "map": ("id", "x", "y", "theta"),
     "relations": ("t1", "t2", "dx", "dy", "dtheta", *DEVIATIONS, *COVARIANCES),
     "positions": (
-        *("t", "nanosec", "x", "y", "theta", "latitude", "longitude", "altitude"),
+        *("t", "date", "nanosec", "x", "y", "theta", "latitude", "longitude", "altitude"),
         *("sigma", *DEVIATIONS, *COVARIANCES, "lever_x", "lever_y"),
     ),
 }
@@ -235,7 +235,8 @@ class Reader:
         """The times (N,) of a column in nanoseconds, by the clock of the table."""
         self.need(role)
         column = self.found[role].column
-        ns = cells.nanoseconds(self.table, column, self._unit(role), self.kind)
+        day = self.found["date"].column if self.has("date") else None
+        ns = cells.nanoseconds(self.table, column, self._unit(role), self.kind, day)
         if self.has("nanosec"):
             self.need("nanosec")
             beside = self.found["nanosec"].column

@@ -192,6 +192,7 @@ def _words(text: str) -> tuple[str, ...]:
 
 _NAMES = {
     "t": "t time timestamp stamp ts seconds secs sec header_stamp times timestamps datetime date_time date",
+    "date": "date day",
     "nanosec": "nanosec nanosecs nsec nsecs nanoseconds",
     "nu": (
         "nu v vel velocity speed linear_x linear_velocity forward_velocity forward_speed lin_vel linear vx v_x "
