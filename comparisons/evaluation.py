@@ -161,18 +161,18 @@ def evaluate(truth: str | PathLike[str], *estimates: str | PathLike[str], **opti
     given = EvaluationOptions.of(**options)
     if not estimates:
         raise OptionError("name at least one estimate after the ground truth: evaluate TRUTH ESTIMATE ...")
-    if given.maps and len(given.maps) != len(estimates):
-        message = f"there are {len(given.maps)} maps for {len(estimates)} estimates; name one for each, - for none"
+    if given.map and len(given.map) != len(estimates):
+        message = f"there are {len(given.map)} maps for {len(estimates)} estimates; name one for each, - for none"
         raise OptionError(message)
     right, true_map = _truth(path_of(truth), _table_options(given, "truth"))
     tables = _table_options(given, ESTIMATES)
     if given.true_map is not None:
         true_map = LandmarkMap.load(given.true_map)
-    if given.maps and true_map is None:
+    if given.map and true_map is None:
         raise OptionError("maps are compared with the true map: name it with --true-map FILE")
     paths = [path_of(path) for path in estimates]
     found = []
-    for path, name, of_map in zip(paths, _names(paths), given.maps or [NO_MAP] * len(paths)):
+    for path, name, of_map in zip(paths, _names(paths), given.map or [NO_MAP] * len(paths)):
         try:
             trajectory = read_trajectory(path, name, tables)
         except LogError as error:

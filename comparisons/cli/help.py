@@ -10,9 +10,6 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
-from rich.cells import cell_len
-from rich.console import Console, ConsoleOptions, RenderResult
-from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 from typer import rich_utils
@@ -69,10 +66,10 @@ def folded() -> AbstractContextManager[None]:
 
 
 def _texts_of_typer(language: str) -> AbstractContextManager[None]:
-    """While a command runs, replace the fixed texts of Typer, such as titles, and how its tables break lines."""
+    """While a command runs, replace the fixed texts of Typer, such as titles."""
     texts = {name: text for name, text in vars(rich_utils).items() if name.isupper() and isinstance(text, str)}
     texts = {name: translated(text, language) for name, text in texts.items()}
-    return _changed({**texts, "Columns": _Wrapped, "Table": _Wrapping})
+    return _changed({**texts, "Columns": _joined, "Table": _Folding})
 
 
 @contextmanager
@@ -98,42 +95,9 @@ class _Folding(Table):
         super().add_row(*cells, **options)
 
 
-class _Wrapping(Table):
-    """A table whose texts are broken as `_Wrapped`."""
-
-    def add_row(self, *cells: Any, **options: Any) -> None:
-        super().add_row(*(_Wrapped([each]) if isinstance(each, Text) else each for each in cells), **options)
-
-
-class _Wrapped:
-    """The help of an option and its default, broken into lines where Japanese allows it: Rich breaks at spaces only."""
-
-    def __init__(self, texts: list[Text]) -> None:
-        self.text = Text(" ").join(texts)
-
-    def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
-        return Measurement(min(20, options.max_width), min(self.text.cell_len, options.max_width))
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        for line in self.text.divide(line_breaks(self.text.plain, options.max_width)):
-            line.rstrip()
-            line.overflow = "fold"
-            yield line
-
-
-def line_breaks(text: str, width: int) -> list[int]:
-    """Where to break a text into lines of a width: after a space, and beside wide letters, but not before a mark."""
-    breaks: list[int] = []
-    possible = column = 0
-    for k, letter in enumerate(text):
-        beside = k > 0 and (text[k - 1] == " " or cell_len(letter) == 2 or cell_len(text[k - 1]) == 2)
-        if beside and letter not in " :,.)]、。，）」・ー％ゃゅょっャュョッ" and text[k - 1] not in "([（「":
-            possible = k
-        if column + cell_len(letter.strip()) > width and possible > (breaks or [0])[-1]:
-            breaks.append(possible)
-            column = cell_len(text[possible:k])
-        column += cell_len(letter)
-    return breaks
+def _joined(texts: list[Text]) -> Text:
+    """The help of an option and its default as one text, broken anywhere where Rich finds no space."""
+    return Text(" ", overflow="fold").join(texts)
 
 
 @contextmanager

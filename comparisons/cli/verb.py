@@ -136,7 +136,6 @@ def _parameter(option: Option, language: str = "en") -> inspect.Parameter:
     # several values are one word with commas
     kind: Any = option.each if option.kind in (str, int, float, bool) else str
     off = f"/--no-{option.flag[2:]}" if option.kind is bool and option.default is not False else ""
-    flags = [option.flag + off, *([f"--{option.alias}"] if option.alias else [])]
     # the unit is in the first sentence
     stop, between = (".", ". ") if language == "en" else ("。", "。")
     first, dot, more = in_language(option.help, language).removesuffix(stop).partition(between)
@@ -149,7 +148,7 @@ def _parameter(option: Option, language: str = "en") -> inspect.Parameter:
         # spaces, at which the help breaks lines
         default = in_language(option.default_text, language) or option.text(option.default).replace(",", ", ")
     settings = typer.Option(
-        *flags, help=text.replace("[", r"\["), metavar=option.metavar or None, show_default=default,
+        option.flag + off, help=text.replace("[", r"\["), metavar=option.metavar or None, show_default=default,
         rich_help_panel=in_language(option.panel, language) or None,
     )  # fmt: skip
     return _keyword(option.name, None, Annotated[kind | None, settings])
@@ -236,19 +235,14 @@ def _typed(ctx: typer.Context, name: str) -> bool:
 def _without_outranked(ctx: typer.Context, values: dict[str, Any], options: dict[str, Option]) -> dict[str, Any]:
     """The values without the noise numbers of a configuration file where --noise names another file.
 
-    Where the sensor is and what it can see is no noise. Configurations of earlier versions have the usual numbers of these
-    where none were given.
+    Where the sensor is and what it can see is no noise.
     """
     if not ("noise" in options and _typed(ctx, "noise")):
         return values
     from ..options import NoiseOptions, SensorModel, options_of
 
-    found, of_noise = ctx.meta.get(_META, {}), set[str]()
-    for name, each in options_of(NoiseOptions).items():
-        given = tuple(found[name]) if isinstance(found.get(name), list) else found.get(name)
-        place = each.field in SensorModel.GEOMETRY and given != getattr(SensorModel(), each.field)
-        if each.only != "python" and not place:
-            of_noise.add(name)
+    every = options_of(NoiseOptions).items()
+    of_noise = {name for name, each in every if each.only != "python" and each.field not in SensorModel.GEOMETRY}
     return {name: value if name not in of_noise or _typed(ctx, name) else None for name, value in values.items()}
 
 

@@ -130,7 +130,7 @@ class GraphOptions(Options, EdgeOptions):
     panel = "Graph"
     kernel: str | None = option(
         None, "Robust kernel against wrong sightings; gnc is graduated non-convexity.",
-        choices=(*KERNELS, "gnc"), alias="robust", default_text="cauchy on real data, none on logs of simulate",
+        choices=(*KERNELS, "gnc"), default_text="cauchy on real data, none on logs of simulate",
     )  # fmt: skip
     initialize: str = option("auto", "Where the iteration starts; auto tries several starts.", choices=INITIALIZE)
     estimate: tuple[str, ...] | None = option(
@@ -294,9 +294,7 @@ class SolverCheckOptions(LimitOptions, JobsOptions, LogOptions):
         (1.0, 10.0), "Factors lambda on the motion edges to try.", positive=True, metavar="LAMBDA,..."
     )
     edges: tuple[str, ...] = option(EDGES, "Kinds of graph to try.", choices=EDGES, metavar="EDGES,...")
-    kernel: tuple[str, ...] = option(
-        ("none",), "Robust kernels to try.", choices=KERNELS, alias="kernels", metavar="KERNEL,..."
-    )
+    kernel: tuple[str, ...] = option(("none",), "Robust kernels to try.", choices=KERNELS, metavar="KERNEL,...")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -137,12 +137,12 @@ class EvaluationOptions(Options):
     """
 
     components = {"tables": (TableOptions, "Tables of trajectories")}
-    hidden = ("axes", "centre", "bearings", "sensor_offset", "truth_offset", "track", "sensor_yaw")
+    hidden = ("axes", "centre", "bearings", "sensor_offset", "truth_offset", "sensor_yaw")
     true_map: Path | None = option(
         None, "The true map (.csv, .npz, .yaml, .geojson).", metavar="FILE", default_text="that of a log"
     )
-    maps: tuple[Path, ...] | None = option(
-        None, "The maps of the estimates, in their order; - for none.", metavar="FILE,...", alias="map"
+    map: tuple[Path, ...] | None = option(
+        None, "The maps of the estimates, in their order; - for none.", metavar="FILE,..."
     )
     match: str = option(
         "id", "How the error of a map finds pairs of landmarks: by their ids, or by place within the cutoff.",

@@ -348,7 +348,6 @@ class Option:
         other: types whose values are taken as they are.
         default_text: how help names the default, where the value itself says too little.
         metavar: how help names the value.
-        alias: a second name on the command line.
         panel: the group in the help of a verb.
         writes: the endings that the name of a file to write may have, () for any; None where nothing is written.
         only: "python" for a field that is no option of the command line.
@@ -371,7 +370,6 @@ class Option:
     other: tuple[type, ...] = ()
     default_text: str = ""
     metavar: str = ""
-    alias: str = ""
     panel: str = ""
     writes: tuple[str, ...] | None = None
     only: str = ""

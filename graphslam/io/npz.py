@@ -15,9 +15,8 @@ of `PoseRelations` and `AbsolutePositions`; ``partial_sightings_steps`` and so o
 
 from __future__ import annotations
 
-import re
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import astuple, fields
 from pathlib import Path
 from typing import Any
@@ -54,18 +53,15 @@ def _read(path: Path, options: ReadOptions) -> Log:
         models: dict[str, Any] = {}
         for name, model in _MODELS.items():
             if name in content:
-                if content[name].ndim != 1:
+                if content[name].shape != np.hstack(astuple(model())).shape:
                     raise OptionError(f"{name} must be numbers, one for each field of the model")
                 numbers = iter(checks.real_array(content[name]).tolist())
-                # files of earlier versions lack the last fields
                 values: dict[str, Any] = {
-                    f.name: (next(numbers, 0.0), next(numbers, 0.0)) if f.name == "offset" else next(numbers, f.default)
+                    f.name: (next(numbers), next(numbers)) if f.name == "offset" else next(numbers)
                     for f in fields(model)
                 }
                 models[name] = model(**values)
         measured: dict[str, Any] = {}
-        if "positions_steps" in content:
-            content.setdefault("positions_datums", _datum_in(notes))
         for name, kind in MEASURED.items():
             arrays: dict[str, Any] = {f.name: content.get(f"{name}_{f.name}") for f in fields(kind)}
             if lacking := [field for field, array in arrays.items() if array is None]:
@@ -106,12 +102,6 @@ def _left_out(content: dict[str, np.ndarray], path: Path, strict: bool) -> tuple
         if name in content and content[name].shape[:1] == kept.shape:
             content[name] = content[name][kept]
     return notes
-
-
-def _datum_in(notes: Iterable[str]) -> Array:
-    """The datum of positions, which files of earlier versions have in a note alone; NaN where there is none."""
-    found = (re.search(r"metres east and north of latitude (\S+), longitude (\S+) degrees", note) for note in notes)
-    return next((np.array([float(at[1]), float(at[2]), 0.0]) for at in found if at), np.full(3, np.nan))
 
 
 def _true_landmarks(content: Mapping[str, np.ndarray]) -> dict[int, Array]:

@@ -24,12 +24,9 @@ from ..errors.checks import (
 from ..se2 import Array, wrap
 from . import cells
 from .geometry import (
-    WHEELS,
     chosen_axes,
     controls_between,
-    controls_of,
     counts_turns,
-    motion_of,
     polar,
     seen_from,
     sideways_poses,
@@ -54,7 +51,7 @@ from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, RATES,
 TURNED = "the heading is {:g} rad: does it count many turns, or is it in degrees?"
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
 ROLES = {
-    "odometry": ("t", "date", "nanosec", *WHEELS, "nu", "vy", "omega", *_POSE),
+    "odometry": ("t", "date", "nanosec", "nu", "vy", "omega", *_POSE),
     "sightings": ("t", "date", "nanosec", "id", "class", "range", "bearing", "orientation", "x", "y", "z"),
     "truth": ("t", "date", "nanosec", *_POSE),
     "map": ("id", "x", "y", "theta"),
@@ -103,9 +100,8 @@ class Reader:
     def __init__(self, kind: str, table: Table, options: TableOptions) -> None:
         self.kind, self.table, self.options = kind, table, options
         self.used: dict[str, None] = {}
-        # robots with four wheels have their motion in other columns, and receivers may tell several heights
-        dispensable = ("altitude", *(WHEELS if options.track is None else ()))
-        self.found = find(kind, table, ROLES[kind], options.columns_of(kind), ORDERS[kind], dispensable)
+        # receivers may tell several heights
+        self.found = find(kind, table, ROLES[kind], options.columns_of(kind), ORDERS[kind], ("altitude",))
         if len(table) == 0:
             raise table.error(None, f"there is no row of {kind} in it")
         for role, chosen in self.found.items():
@@ -128,7 +124,7 @@ class Reader:
         names = (" or ".join(dict.fromkeys((role, *NAMES[role][:3]))) for role in roles)
         named_so = " and none for ".join(f"{role} (named {each}, ...)" for role, each in zip(roles, names))
         state = f"columns='{','.join(f'{self.kind}.{role}=NAME' for role in roles)}'"
-        which = f"Say which it is: {state}" if len(roles) == 1 else f"Say which they are: {state}"
+        which = f"Say which: {state}"
         if roles == ("id",):
             # many sensors have no ids, so that only a column without another use is asked about
             if not self.unused:
@@ -190,7 +186,7 @@ class Reader:
             if role in self.found:
                 with suppress(LogError):
                     columns[role] = self.table.numbers([self.found[role].column])[:, 0]
-        faults, of_psi = list[Fault](), None
+        faults = list[Fault]()
         for role, values in columns.items():
             title = self.table.title(self.found[role].column)
             if MEASURES.get(role) == "time":
@@ -204,7 +200,6 @@ class Reader:
                     number = columns["bearing" if role == "range" else "range"]
                     fault = replace(fault, rows=fault.rows & ~(np.isnan(values) & np.isfinite(number)))
                 faults.append(fault)
-                of_psi = fault if role == "orientation" else of_psi
                 faults += (
                     range_faults(values, columns.get("bearing"))
                     if role == "range"
@@ -219,18 +214,8 @@ class Reader:
             strict=self.options.strict, source=self.table.source,
         )  # fmt: skip
         if not kept.all():
-            others = np.any([each.rows for each in faults if each is not of_psi], axis=0)
-            notes += self._without_orientation(~kept & ~others)
             self.table = Kept(self.table, np.flatnonzero(kept), notes)
         return self.table
-
-    def _without_orientation(self, rows: np.ndarray) -> tuple[str, ...]:
-        """A note on rows (N,) bool that are left out for nothing but their orientation, if there are any."""
-        if not (rows.any() and self.has("orientation")):
-            return ()
-        what = f"nothing but {self.table.title(self.found['orientation'].column)} leaves out {np.count_nonzero(rows):,} of "
-        advice = "remove that column if the ranges and bearings of all sightings say more"
-        return (f"{self.table.source}: {what}{len(rows):,} sightings: {advice}",)
 
     def without_empty(self, role: str) -> tuple[str, ...]:
         """Do without a column of which more cells are empty than rows may be left out; returns a note on that."""
@@ -343,37 +328,31 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
         LogError: a column is missing, a number is none, or the unit is almost certainly another one.
     """
     reader = Reader("odometry", table, options)
-    motion, of_wheels = motion_of(table, reader.found, options.track), tuple[str, ...]()
+    motion = ("x", "y") if reader.has("x", "y") and not reader.has("nu", "omega") else ("nu", "omega")
     needed = motion if "x" not in motion or reader.has("qz", "qw") else (*motion, "theta")
-    seen = find("sightings", table, ROLES["sightings"], {}, {}, ROLES["sightings"]).keys()
-    if not reader.has(*needed) and {"id", "range", "bearing"} <= seen:
-        raise table.error(None, "it has the columns of sightings: are the two tables exchanged?")
     instead = ", and none for x, y and theta instead of nu and omega"
     reader.need("t", *needed, instead="" if "x" in motion or reader.has(*motion) else instead)
     table = reader.leave_out(*(_POSE if "x" in motion else motion))
     ns = reader.times()
     if "x" not in motion:
         rows = reader.numbers(*motion)
-        fastest = np.abs(rows[:, : 2 if "left" in motion else 1]).max(axis=1)
-        reader.refuse_many(motion[0], fastest, FASTEST, "the speed is {:g} m/s: is it in mm/s?")
-        if "left" in motion:
-            rows, of_wheels = controls_of(table, rows, options.track)
+        reader.refuse_many("nu", np.abs(rows[:, 0]), FASTEST, "the speed is {:g} m/s: is it in mm/s?")
         sideways = _sideways_speed(reader, rows[:, 0])
     else:
         rows = reader.poses()
     ns, order, notes = ordered(reader.table, ns)
     rows = rows[order]
     more, doubts = cells.repeated_times("odometry", table, ns, rows, np.arange(len(ns))[order])
-    notes += of_wheels + more
+    notes += more
     if not reader.stated("t"):
         cells.check_spacing(table, reader.found["t"].column, ns)
     if rows.shape[1] == 3:
         rows, ns, sideways = _controls(reader, rows, ns)
-    elif "omega" in motion:
+    else:
         message = "the turn rate is {:g} rad/s: is it in degrees per second?"
         reader.refuse_many("omega", np.abs(rows[:, 1]), QUICKEST, message)
     speed, turn = "speed unit", "turn rate unit"
-    doubts += sideways + reader.answered(t="time unit", nu=speed, left=speed, x=speed, omega=turn, theta=turn)
+    doubts += sideways + reader.answered(t="time unit", nu=speed, x=speed, omega=turn, theta=turn)
     return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts)
 
 
@@ -413,9 +392,8 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     others = [role for role in ("range", "bearing") if not cartesian and not reader.has(role)]
     # what is missing, as far as there are columns that may be it
     reader.need("t", *(others if not reader.has("t") and len(reader.unused) > len(others) else ()))
-    taken, doubted = tuple[str, ...](), tuple[cells.Doubt, ...]()
     if cartesian:
-        axes, taken, doubted = chosen_axes(reader.table, reader.found, options.axes)
+        axes = chosen_axes(reader.table, reader.found, options.axes)
         options = reader.options = replace(options, axes=axes)
     plane = ("x", "z") if options.axes == "optical" else ("x", "y")
     measured = plane if cartesian else ("range", "bearing")
@@ -458,11 +436,11 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     ns, order, more = ordered(reader.table, ns)
     ids, rows = found.numbers[order], rows[order]
     rows[:, 1:] = wrap(rows[:, 1:])
-    doubts = doubted + cells.repeated_sightings(table, ns, ids, rows, np.arange(len(ns))[order])
+    doubts = cells.repeated_sightings(table, ns, ids, rows, np.arange(len(ns))[order])
     doubts += reader.answered(range="range unit", x="range unit")
     classes, remarks = reader.classes()
     classes = None if classes is None else classes[order]
-    notes = (*found.notes, *taken, *empty, *more, *remarks)
+    notes = (*found.notes, *empty, *more, *remarks)
     return Timed(table, ns, rows, reader.described(), ids, notes, doubts, classes, found.names)
 
 

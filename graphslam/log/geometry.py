@@ -1,14 +1,6 @@
-"""The geometry of robot and sensor, where tables leave it open: the speeds of two wheels, and the axes of places.
+"""The geometry of robot and sensor, where tables leave it open: motions between poses, and the axes of places.
 
-**Wheels.** Columns of the speeds of a left and a right wheel give the controls
-
-    nu = (v_right + v_left) / 2,   omega = (v_right - v_left) / track.
-
-Errors of the track and of the scales of both wheels are errors of nu and omega with constant factors, which the biases
-``wheel_scale``, ``turn_scale`` and ``curvature_bias`` are. The poses of odometry become the controls between them.
-
-**Axes.** On a robot that drives in the plane a landmark keeps its height over the sensor, while the two other coordinates
-change. A camera has the height in y (right, down, ahead: OpenCV, AprilTag), other sensors in z.
+The poses of odometry become the controls between them.
 
 **Latitude and longitude** become metres east and north in the plane that touches the Earth (WGS 84) at a datum, the height of
 which all places are taken to have: with a the half axis, e² the squared eccentricity and N = a / sqrt(1 - e² sin² lat),
@@ -22,17 +14,15 @@ Source: Torge and Müller, *Geodesy*, 4th edition, section 4.1.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import LogError, checks, named
 from ..se2 import Array, between, sinc
 from .cells import Doubt
-from .table import Chosen, Table, plain
+from .table import Chosen, Table
 
 if TYPE_CHECKING:
     from .log import Log
@@ -99,75 +89,6 @@ def with_datum(log: Log, datum: Array | None, what: str) -> Log:
     return log.replace(positions=replace(positions, places=places, datums=datums), notes=tuple(dict.fromkeys(notes)))
 
 
-#: the roles of the columns of wheels
-WHEELS = ("left", "right")
-_SIDES = ({"left", "l"}, {"right", "r"})
-_STATE = "columns='odometry.left=NAME,odometry.right=NAME'"
-
-
-def _of_wheels(names: Collection[str]) -> list[str]:
-    """The names of columns of a left and a right wheel; empty unless there are both."""
-    words = {name: set(plain(name)[0].split("_")) for name in names}
-    sides = [[name for name, parts in words.items() if parts & side] for side in _SIDES]
-    return [*sides[0], *sides[1]] if all(sides) else []
-
-
-def motion_of(table: Table, found: Mapping[str, Chosen], track: float | None) -> tuple[str, ...]:
-    """The roles of the columns of the motion: nu and omega, x and y, or the speeds of two wheels, with omega or a track.
-
-    A track says that the speeds of the wheels are used.
-
-    Raises:
-        LogError: columns of wheels cannot be used as they are; with what to state.
-    """
-    has = found.keys()
-    if track is None and {"nu", "omega"} <= has:
-        if table.names and (sides := _of_wheels([table.names[found[role].column] for role in ("nu", "omega")])):
-            state = f"columns='odometry.left={sides[0]},odometry.right={sides[1]}', track=METRES"
-            seem = "seem to be speeds of the left and the right wheel, and not nu and omega, which are made of them"
-            raise table.error(None, f"{named(sides)} {seem}: {state}")
-        return "nu", "omega"
-    if track is None and {"x", "y"} <= has:
-        return "x", "y"
-    if not {*WHEELS} <= has:
-        if track is not None:
-            raise table.error(None, f"there is a track, but no speeds of two wheels; say which they are: {_STATE}")
-        if sides := _of_wheels(table.names):
-            raise table.error(
-                None,
-                f"{named(sides)} seem to be of the left and the right wheel. If they are speeds, add {_STATE}, track=METRES "
-                "(the distance between the wheels); travel and ticks are not read: make speeds of their differences from row "
-                "to row",
-            )
-        return "nu", "omega"
-    titles = " and ".join(table.title(found[role].column) for role in WHEELS)
-    if any(found[role].unit in ("radians", "degrees") for role in WHEELS):
-        message = f"{titles} are turn rates of the wheels; multiply them by the radius, so that they are in m/s"
-        raise table.error(None, message)
-    if track is None and "omega" not in has:
-        message = f"{titles} seem to be the speeds of the left and the right wheel; add the distance between the wheels"
-        raise table.error(None, f"{message}: track=METRES")
-    return (*WHEELS, "omega") if track is None else WHEELS
-
-
-def controls_of(table: Table, speeds: Array, track: float | None) -> tuple[Array, tuple[str, ...]]:
-    """The controls (N, 2) of the speeds (N, 2) of the left and the right wheel, or (N, 3) with the turn rate; and a note.
-
-    Raises:
-        LogError: the robot would turn faster than robots do.
-    """
-    left, right, omega = speeds[:, 0], speeds[:, 1], speeds[:, -1]
-    note = "nu is the mean of the speeds of the left and the right wheel"
-    if track is not None:
-        omega = (right - left) / track
-        if len(omega) and (usual := float(np.quantile(np.abs(omega), 0.95))) > checks.QUICKEST:
-            message = f"by the speeds of the wheels the robot turns by {usual:.3g} rad/s: is track in metres?"
-            raise table.error(None, message)
-        errors = "errors of this track and of the wheels' scales are wheel_scale, turn_scale and curvature_bias"
-        note = f"nu and omega are those of the left and the right wheel, {track:g} m apart; {errors}"
-    return np.column_stack([(left + right) / 2, omega]), (f"{table.source}: {note}",)
-
-
 def controls_between(poses: Array, dt: Array) -> tuple[Array, float]:
     """The controls (N, 2) that lead from each pose (N, 3) to the next on an arc, the last one zero.
 
@@ -225,14 +146,6 @@ def sideways_speed(table: Table, title: str, speed: Array, lateral: Array) -> tu
     return ((SIDEWAYS, message),) if share > _SPEEDS else ()
 
 
-#: sightings that are needed, of landmarks that are seen several times or else of all
-_FEWEST = 10
-#: a coordinate stays where its spread is below this part of that of the others
-_STAYS = 0.5
-#: what is seen is ahead in this part of the sightings
-_AHEAD = 0.99
-
-
 def polar(places: Array) -> Array:
     """Range and bearing (N, 2) of places (N, 2), forward and left."""
     forward, left = places.T
@@ -246,67 +159,16 @@ def seen_from(place: tuple[float, float], sightings: Array) -> Array:
     return np.column_stack([seen, sightings[:, 2:] + (seen[:, 1] - phi)[:, None]])
 
 
-def chosen_axes(
-    table: Table, found: Mapping[str, Chosen], stated: str | None
-) -> tuple[str, tuple[str, ...], tuple[Doubt, ...]]:
-    """The axes of Cartesian sightings, one of `rows.AXES`, with notes and doubts about the choice.
+def chosen_axes(table: Table, found: Mapping[str, Chosen], stated: str | None) -> str:
+    """The axes of Cartesian sightings, one of `rows.AXES`: those that are ``stated``, else forward-left.
 
-    Args:
-        table: the sightings.
-        found: its columns, among them x and y, or x and z, or all of them.
-        stated: the axes that the user states.
+    Raises:
+        LogError: none are stated, and there is a z among the columns ``found``: it may be the height, or ahead of a camera.
     """
-    plain = "forward-left"
-    if "z" not in found:
-        return stated or plain, (), ()
-    if "y" not in found:
-        note = "x and z are taken as right and ahead, the axes of a camera (axes='optical'), because there is no y"
-        return stated or "optical", () if stated else (f"{table.source}: {note}",), ()
-    shown = _shown(table, {role: each.column for role, each in found.items()})
-    if shown == "unknown" or (stated and shown in (None, "optical" if stated == "optical" else plain)):
-        return stated or plain, (), ()
-    if stated:
-        one, other = ("y", "z") if shown == "optical" else ("z", "y")
-        message = f"axes='{stated}' is stated, but {one} rather than {other} seems to be the height of the landmarks"
-        advice = f"compare with axes='{shown}'"
-        return stated, (), (("axes", f"{table.source}: {message}; {advice}"),)
-    if shown is None:
-        message = (
-            f"{table.source}: x and y are taken as ahead and left, and z as the height, but the numbers do not show that; if "
-            "they are right, down and ahead, as of a camera, add axes='optical', and else axes='forward-left'"
+    if stated is None and "z" in found:
+        raise table.error(
+            None,
+            "the sightings have a z: state axes='optical' (x right, y down, z ahead, as of a camera: OpenCV, AprilTag), or "
+            "axes='forward-left' (x ahead, y left, z up)",
         )
-        return plain, (), (("axes", message),)
-    notes = {
-        plain: "x and y are taken as ahead and left, because z seems to be the height of the landmarks; if y is the height, "
-        "add axes='optical'",
-        "optical": "x, y and z are taken as right, down and ahead, the axes of a camera (axes='optical'), because y seems to "
-        "be the height of the landmarks; if z is the height, add axes='forward-left'",
-    }  # fmt: skip
-    return shown, (f"{table.source}: {notes[shown]}",), ()
-
-
-def _shown(table: Table, columns: dict[str, int]) -> str | None:
-    """The axes that the numbers show, "optical" or "forward-left"; None where they show none, "unknown" if too few."""
-    places = np.full((0, 3), np.nan)
-    # a column of words has its error where it is read
-    with suppress(LogError):
-        places = table.numbers([columns[axis] for axis in "xyz"])
-    known = np.isfinite(places).all(axis=1)
-    places = places[known]
-    landmarks, often = np.zeros(len(places), dtype=int), np.ones(len(places), dtype=bool)
-    if "id" in columns:
-        _, names = np.unique(table.texts(columns["id"])[known], return_inverse=True)
-        again = np.bincount(names)[names] > 2
-        if np.sum(again) >= _FEWEST:
-            landmarks, often = names, again
-    if len(places) < _FEWEST:
-        return "unknown"
-    from_middle = places.copy()
-    for rows in np.split(np.argsort(landmarks, kind="stable"), np.cumsum(np.bincount(landmarks))[:-1]):
-        from_middle[rows] -= np.median(places[rows], axis=0)
-    x, y, z = np.mean(np.abs(from_middle[often]), axis=0)
-    ahead = np.mean(places > 0, axis=0) > _AHEAD
-    # along a straight way the distance to the side stays, too, so that the one ahead changes by far the most
-    optical = ahead[2] and (y < _STAYS * min(x, z) or max(x, y) < _STAYS * z)
-    robot = z < _STAYS * min(x, y) or (ahead[0] and max(y, z) < _STAYS * x)
-    return None if optical == robot else "optical" if optical else "forward-left"
+    return stated or "forward-left"

@@ -7,7 +7,6 @@ with its noise. Latitude and longitude become places in the plane that touches t
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -18,14 +17,14 @@ from ..errors import LogError, OptionError, quoted
 from ..errors.checks import FOUR_TURNS, WHOLE_TURN, check_known, check_type, first
 from ..models import ANYWHERE, SensorModel, additional_variances
 from ..se2 import Array, wrap
-from .cells import COVERED, DOUBTFUL_NOISE, Doubt, ids_of, seconds, time_faults
+from .cells import COVERED, DOUBTFUL_NOISE, Doubt, ids_of, seconds
 from .drive import TURNED, Reader, Timed, odometry_of, sightings_of, truth_of
 from .geometry import datum_note, local_plane
 from .log import Log
 from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, checked_landmarks, cut_headings, not_positive
-from .rows import MOST_LEFT_OUT, NO_CLASS, SIZES, UNIDENTIFIED, UNITS_OF, ReadOptions, TableOptions
-from .streams import MOST_DISORDER, Stream, synchronize
-from .table import COVARIANCES, Kept, Table, ordered
+from .rows import NO_CLASS, SIZES, UNIDENTIFIED, UNITS_OF, ReadOptions, TableOptions
+from .streams import Stream, synchronize
+from .table import COVARIANCES, Table, ordered
 from .text_table import table_of
 
 #: the coordinates of the noise
@@ -213,12 +212,12 @@ def read_drive(
         LogError: a table lacks a column or has an impossible value.
     """
     options = options or TableOptions()
-    moved = odometry_of(_in_order("odometry", odometry, options), options)
-    seen = sightings_of(_in_order("sightings", sightings, options, moved), options)
+    moved = odometry_of(table_of(odometry, "odometry"), options)
+    seen = sightings_of(table_of(sightings, "sightings"), options)
     read: dict[str, Any] = {}
     for kind, table in others.items():
         if table is not None:
-            read[kind] = READERS[kind](_in_order(kind, table, options, moved), options)
+            read[kind] = READERS[kind](table_of(table, kind), options)
     if isinstance(map, Mapping) and all(isinstance(j, int | np.integer) for j in map):
         landmarks: dict[int, Array] | None = checked_landmarks(map)
     else:
@@ -231,47 +230,6 @@ def read_drive(
 #: the time between two drives [s]. `estimate_robot` and checks judge by time what belongs together: with a second between
 #: drives 13 of 20 joined logs had 1.5 to 4.8 times the noise of their sensor, and with 10 to 1000 s at most one
 APART = 60.0
-#: rows are shuffled where the time goes back by more than `MOST_DISORDER` in a larger share of them
-_SHUFFLED = 0.2
-
-
-def _in_order(kind: str, source: Any, options: TableOptions, odometry: Timed | None = None) -> Table:
-    """The table, with its rows sorted by time where they are in another order: the newest first, by landmark, or shuffled.
-
-    The last two are sorted only where their times lie within those of the odometry. Times that go back otherwise, as where a
-    clock was set, and single wrong times stay as they are: the readers refuse them, or leave them out.
-    """
-    table = table_of(source, kind)
-    reader = Reader(kind, table, options)
-    if not reader.has("t") or len(table) < 3:
-        return table
-    # dates are no numbers
-    with suppress(LogError):
-        if np.all(np.diff(table.numbers([reader.found["t"].column])[:, 0]) >= 0):
-            return table
-    try:
-        ns = reader.times()
-    except LogError:
-        # the reader of the table says which time cannot be
-        return table
-    steps = np.diff(ns)
-    if np.any(steps > 0) or not np.any(steps):
-        if odometry is None:
-            return table
-        outside = (ns < odometry.times[0]) | (ns > odometry.times[-1])
-        rows = np.flatnonzero(~time_faults(ns / 1e9, "", "s")[1].rows)
-        back = np.diff(ns[rows]) < -1e9 * MOST_DISORDER
-        if np.sum(back) <= 2 or np.mean(outside) > MOST_LEFT_OUT:
-            return table
-        if np.mean(back) <= _SHUFFLED:
-            if not reader.has("id"):
-                return table
-            ids = table.words(reader.found["id"].column)[rows]
-            other = ids[1:] != ids[:-1]
-            if not np.all(other[back]) or np.sum(other) >= len(np.unique(ids)):
-                return table
-    note = f"{table.source}: the rows are not in the order of their times; they were sorted"
-    return Kept(table, np.argsort(ns, kind="stable"), (note,))
 
 
 #: the readers of tables that a drive need not have
@@ -350,19 +308,14 @@ def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
             raise LogError(f"{lasts}, and {rows}: {advice}")
         return
     offset = (begin - first) / 1e9
-    hours = offset / 3600
     remedy = f"clocks='{kind}={f'{offset:.3f}'.rstrip('0').rstrip('.')}' lets both begin together"
     finer, which, ratio = odometry, "odometry", (end - begin) / (last - first or end - begin)
     if ratio < 1:
         finer, which, ratio = other, kind, (last - first) / (end - begin)
-    if min(begin, first) < 1e16 < max(begin, first):
-        cause = "one counts from 1970 and the other from its own start"
-    elif unit := _finer_unit(finer, ratio):
+    if unit := _finer_unit(finer, ratio):
         cause, remedy = f"the times of {_name(finer)} seem to be in another unit", f"if so, add time='{which}={unit}'"
-    elif abs(hours) >= 0.9 and abs(hours - round(hours)) < 0.05 and abs(hours) < 26:
-        cause = f"they differ by about {abs(round(hours))} h, as two time zones do"
     else:
-        cause = "they are of different drives, or one clock was not set"
+        cause = "they begin at different moments, are of different drives, or one clock was not set"
     names = f"{_name(odometry)} ({whole}) and {_name(other)} ({others})"
     raise LogError(f"the clocks of {names} do not overlap: {cause}; {remedy}")
 

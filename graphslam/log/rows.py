@@ -177,7 +177,7 @@ def spike_faults(values: np.ndarray, title: str, role: str) -> list[Fault]:
     far = sizes > _SPIKE * usual
     neighbours = np.append(far[1:], False) | np.append(False, far[:-1])
     if (
-        role not in ("left", "right", "nu", "omega")
+        role not in ("nu", "omega")
         or usual == 0
         or np.any(far & neighbours)
         or np.any((known > _USUAL * usual) & (known <= _SPIKE * usual))
@@ -250,7 +250,7 @@ class TableOptions:
     )  # fmt: skip
     axes: str | None = option(
         None, "Directions of x and y of Cartesian sightings; optical is x right, z forward", choices=tuple(AXES),
-        default_text="forward-left; optical where there is a z and the numbers show it",
+        default_text="forward-left; where there is a z, they must be stated",
     )  # fmt: skip
     centre: str = option(
         "sensor", "Where range and bearing, or x and y, of sightings are measured from", choices=("sensor", "robot")
@@ -266,10 +266,6 @@ class TableOptions:
     truth_offset: tuple[float, float] | None = option(
         None, "Point of the robot that the truth is of, such as a GPS antenna: forward, left", "m", default_text="0,0",
         metavar="FORWARD,LEFT",
-    )  # fmt: skip
-    track: float | None = option(
-        None, "Distance between the left and the right wheel, whose speeds the odometry has", "m", positive=True,
-        maximum=20.0,
     )  # fmt: skip
     sensor_yaw: float | None = option(
         None, "Direction in which the sensor looks, 0 is forward, positive to the left", "rad",
@@ -287,7 +283,7 @@ class TableOptions:
         for name in ("sensor_offset", "truth_offset"):
             if (offset := getattr(self, name)) is not None:
                 object.__setattr__(self, name, checked_offset(name, offset))
-        for name in ("axes", "centre", "bearings", "track", "sensor_yaw", "strict"):
+        for name in ("axes", "centre", "bearings", "sensor_yaw", "strict"):
             declared_in(TableOptions)[name].checked(getattr(self, name))
         for table in TABLES:
             self.clock(table)

@@ -190,13 +190,6 @@ def _words(text: str) -> tuple[str, ...]:
     return tuple(text.split())
 
 
-def _of_wheel(side: str) -> tuple[str, ...]:
-    """The names of the speed of the "left" or "right" wheel."""
-    forms = _words("{0}_{2} {2}_{0} {2}_{1} {1}_{2} {0}_wheel_{2} wheel_{0}_{2} wheel_{2}_{0} {2}_{0}_wheel")
-    names = (form.format(side, side[0], word) for word in ("speed", "velocity", "vel", "v") for form in forms)
-    return (*names, f"v{side}", f"v{side[0]}")
-
-
 _NAMES = {
     "t": "t time timestamp stamp ts seconds secs sec header_stamp times timestamps datetime date_time date",
     "date": "date day",
@@ -248,11 +241,7 @@ _NAMES = {
     "lever_y": "lever_y lever_left antenna_y offset_y",
 }
 #: what a column can be -> the names it has in other people's tables, after `plain`
-NAMES: dict[str, tuple[str, ...]] = {
-    "left": _of_wheel("left"),
-    "right": _of_wheel("right"),
-    **{role: _words(names) for role, names in _NAMES.items()},
-}
+NAMES: dict[str, tuple[str, ...]] = {role: _words(names) for role, names in _NAMES.items()}
 #: numbers that are neither a place nor a speed ahead
 _OTHER_NAMES = _words(
     "angular_x angular_y angular_velocity_x angular_velocity_y gyro_x gyro_y acceleration_x acceleration_y accel_x accel_y "
@@ -285,13 +274,11 @@ OTHER_UNITS = frozenset(
 #: units at the end of a name; range_min and x_in are rather a minimum and an input
 _ENDS = UNITS | {unit: unit for unit in OTHER_UNITS.difference(_words("in min mi h hz kn kt grad foot d day px count"))}
 #: what is per second
-RATES = ("left", "right", "nu", "vy", "omega")
+RATES = ("nu", "vy", "omega")
 #: what each column measures, a key of `rows.UNITS_OF`
 MEASURES = {
     **dict.fromkeys(("t", "t1", "t2"), "time"),
-    **dict.fromkeys(
-        _words("left right nu vy x y z range dx dy sigma sigma_x sigma_y altitude lever_x lever_y"), "lengths"
-    ),
+    **dict.fromkeys(_words("nu vy x y z range dx dy sigma sigma_x sigma_y altitude lever_x lever_y"), "lengths"),
     **dict.fromkeys(_words("omega theta bearing orientation dtheta sigma_theta"), "angles"),
 }
 
@@ -437,9 +424,9 @@ def ordered(
         k = int(np.argmax(restarts)) if restarts.any() else int(jumps[0])
         cause = "does the table hold two drives, or a clock that was set? Import each part alone"
         how = f"by {(reached[k] - ns[k]) / 1e9:.3g} s: {cause}"
-        if len(jumps) > 2:
+        if (count := np.count_nonzero(back)) > 2:
             cause = "sort the rows by their time if they are of one drive, or import each drive alone"
-            how = f"{len(jumps)} times: {cause}"
+            how = f"{count} times: {cause}"
         raise table.error(int(rows[k]), f"the time goes back {how}")
     note = f"{table.place(int(rows[k + 1]))}: time runs backwards ({times}); the rows were sorted"
     order = np.argsort(ns, kind="stable")

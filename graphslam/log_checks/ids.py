@@ -1,7 +1,7 @@
 """Ids: single ones that are misread, and landmarks that are seen once, or twice at one time.
 
 `changed_ids` finds the time from which on landmarks have other ids, as after a restart of a detector that counts them. Checks
-of ids and of maps compare distances between landmarks that are seen shortly after one another (`Distances`). Over a short way
+of maps compare distances between landmarks that are seen shortly after one another (`Distances`). Over a short way
 they hardly depend on the drift of the odometry.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from ..log import Log
 from ..log.rows import UNIDENTIFIED
 from ..models import SensorModel
-from ..se2 import Array, rotation
+from ..se2 import Array
 
 
 @dataclass(frozen=True)
@@ -87,13 +87,11 @@ class Distances:
 
     Attributes:
         pair: (K, 2) the ids of the two landmarks, the smaller first.
-        step: (K,) at which the second one is seen.
         distance: (K,) [m].
         range: (K,) the mean range of the two sightings [m].
     """
 
     pair: np.ndarray
-    step: np.ndarray
     distance: Array
     range: Array
 
@@ -105,7 +103,7 @@ def distances_of(log: Log) -> Distances:
     other = seen.ids[a] != seen.ids[b]
     a, b = a[other], b[other]
     pair = np.sort(np.column_stack([seen.ids[a], seen.ids[b]]), axis=1)
-    return Distances(pair, seen.steps[b], seen.apart(a, b), (seen.ranges[a] + seen.ranges[b]) / 2)
+    return Distances(pair, seen.apart(a, b), (seen.ranges[a] + seen.ranges[b]) / 2)
 
 
 #: fewer sightings are not checked
@@ -213,122 +211,20 @@ def ids_of(log: Log) -> Iterator[Finding]:
 _BACK_WAY, _BACK = 0.6, 40
 #: a landmark stays where it is up to the first number [ranges], or the second times the median error
 _STAYS, _STAYS_TIMES = 0.1, 3.0
-#: landmarks, or values, that change at one time at least, and how many times as many as those that stay
+#: landmarks that change at one time at least, and how many times as many as those that stay
 _FEWEST_CHANGED, _MORE = 3, 2
 #: times that are tried at most
 _MOST_TIMES = 2000
-#: a value changes if its means before and after differ by the first number [ranges] and the second times its spread; the
-#: number of times that are tried
-_CHANGE, _SPREAD, _TRIED = 0.25, 3.0, 100
-#: the fewest measurements of a value before and after the change; more than one, because single ids may be misread
-_SEEN = 3
-#: values that are used at most
-_ENOUGH = 20_000
 #: the ids cannot be checked where sightings move by more than this [ranges, median]
 _COARSE = 0.15
 
 
-def changed_ids(log: Log, distances: Distances, *, trusted: bool, wrong: np.ndarray) -> Iterator[Finding]:
-    """The time from which on ids are other ones: where landmarks are, by the true poses if ``trusted``, by distances.
-
-    ``wrong`` (M,) sightings have misread ids, and ``distances`` are those without them.
-    """
-    known = log.with_sightings(~wrong)
-    # a landmark that is seen only once after the change looks misread, so the first one uses all
-    for change in (_in_one_place(log), _by_truth(known) if trusted else None, _by_distances(distances)):
-        if change is not None:
-            step, evidence = change
-            when = f"step {step}" if log.times is None else f"{log.times[step] - log.start_time:.1f} s after the start"
-            message = f"landmarks have other ids from about {when} on ({evidence})"
-            cause = "a detector may have counted them anew"
-            yield Finding("ids change", f"{message}; {cause}")
-            return
-
-
-def _by_truth(log: Log) -> tuple[int, str] | None:
-    if log.robot_truth is None:
-        return None
-    rows = np.flatnonzero((log.landmarks != UNIDENTIFIED) & np.isfinite(log.robot_truth[log.steps]).all(axis=1))
-    steps, sightings, ids = log.steps[rows], log.sightings[rows], log.landmarks[rows]
-    poses = log.robot_truth[steps]
-    places = (log.sensor or SensorModel()).h_inverse(poses, sightings)[:, :2]
-    change = _change(ids[:, None], steps, places, sightings[:, 0])
-    if change is None or _misplaced(places, poses[:, 2], ids, steps >= change[0]):
-        return None
-    return change[0], f"seen from the true poses {change[1]} of {change[2]} landmarks are elsewhere"
-
-
-def _misplaced(places: Array, headings: Array, ids: np.ndarray, after: np.ndarray) -> bool:
-    """Whether another place of the sensor explains places (M, 2) of landmarks better than other ids ``after`` a time.
-
-    The sum of the squares of p + R(theta) d about the mean of each landmark, at the best d, is then below that of p about the
-    means before and after: with a wrong d, landmarks are elsewhere wherever the robot has another heading.
-    """
-    rest = _about_means(places, ids).ravel()
-    slopes = _about_means(rotation(headings).reshape(-1, 4), ids).reshape(-1, 2)
-    d = np.linalg.lstsq(slopes, -rest, rcond=None)[0]
-    return bool(np.sum((rest + slopes @ d) ** 2) < np.sum(_about_means(places, np.column_stack([ids, after])) ** 2))
-
-
-def _about_means(values: Array, keys: np.ndarray) -> Array:
-    """Values (M, c) minus the mean over all with the same key."""
-    group, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)[1:]
-    total = np.zeros((len(count), values.shape[1]))
-    np.add.at(total, group.ravel(), values)
-    return np.asarray(values - (total / count[:, None])[group.ravel()])
-
-
-def _by_distances(found: Distances) -> tuple[int, str] | None:
-    change = _change(found.pair, found.step, found.distance[:, None], found.range)
-    return change and (change[0], f"{change[1]} of {change[2]} distances between two landmarks change")
-
-
-def _change(keys: np.ndarray, steps: np.ndarray, values: Array, scale: Array) -> tuple[int, int, int] | None:
-    """The step at which most values change, how many do, and of how many; None where few change.
-
-    Args:
-        keys: (K, n) what has the value, for example the id of a landmark.
-        steps: (K,) at which it is measured.
-        values: (K, c).
-        scale: (K,) the range of the measurement [m].
-    """
-    if len(steps) < _FEWEST_CHANGED:
-        return None
-    every = max(1, len(steps) // _ENOUGH)
-    keys, steps, values, scale = keys[::every], steps[::every], values[::every], scale[::every]
-    order = np.lexsort((steps, *keys.T))
-    keys, steps, values, scale = keys[order], steps[order], values[order], scale[order]
-    first = np.flatnonzero(np.append(True, np.any(np.diff(keys, axis=0) != 0, axis=1)))
-    count = np.diff(np.append(first, len(keys)))
-    # about the mean of each, because squares are subtracted from each other
-    values = values - np.repeat(np.add.reduceat(values, first) / count[:, None], count, axis=0)
-    sums = np.column_stack([np.ones(len(values)), values, values**2])
-    total, size = np.add.reduceat(sums, first), np.add.reduceat(scale, first) / count
-    best = (0, 0, 0)
-    for k in np.unique(np.quantile(steps, np.linspace(0.02, 0.98, _TRIED), method="nearest")).tolist():
-        until = np.add.reduceat(sums * (steps < k)[:, None], first)
-        (n, before, spread), (m, after, spread_after) = _moments(until), _moments(total - until)
-        both = (n >= _SEEN) & (m >= _SEEN)
-        noise = np.sqrt(np.maximum((spread + spread_after) / count, 0))
-        changed = both & (np.linalg.norm(before - after, axis=1) > np.maximum(_CHANGE * size, _SPREAD * noise))
-        if 2 * np.sum(changed) - np.sum(both) > 2 * best[1] - best[2]:
-            best = k, int(np.sum(changed)), int(np.sum(both))
-    return best if best[1] > max(_FEWEST_CHANGED, _MORE * (best[2] - best[1])) else None
-
-
-def _moments(sums: Array) -> tuple[Array, Array, Array]:
-    """Number (n,), mean (n, c) and sum of squares about the mean (n,), from the sums (n, 1 + 2 c) of 1, x and x²."""
-    n, c = sums[:, 0], sums.shape[1] // 2
-    mean, square = (part / np.maximum(n, 1)[:, None] for part in (sums[:, 1 : c + 1], sums[:, c + 1 :]))
-    return n, mean, n * np.sum(square - mean**2, axis=1)
-
-
-def _in_one_place(log: Log) -> tuple[int, str] | None:
-    """Several landmarks at once are where others have just been seen."""
+def changed_ids(log: Log) -> Iterator[Finding]:
+    """The time from which on ids are other ones: several landmarks at once are where others have just been seen."""
     seen = Carried(log)
     ids, way, count = seen.ids, seen.way, len(seen.ids)
     if log.controls is None or count < 10 * _FEWEST_CHANGED:
-        return None
+        return
 
     def apart(a: np.ndarray, b: np.ndarray) -> Array:
         return np.where(way[b] - way[a] <= _BACK_WAY, seen.share(a, b), np.inf)
@@ -336,7 +232,7 @@ def _in_one_place(log: Log) -> tuple[int, str] | None:
     own = _previous(ids)
     error = np.where(own >= 0, apart(np.maximum(own, 0), np.arange(count)), np.inf)
     if not np.isfinite(error).any() or (usual := float(np.median(error[np.isfinite(error)]))) > _COARSE:
-        return None
+        return
     near = max(_STAYS, _STAYS_TIMES * usual)
     stays = error <= near
     before, moved = seen.pairs(_BACK_WAY, _BACK)
@@ -368,7 +264,7 @@ def _in_one_place(log: Log) -> tuple[int, str] | None:
             changed = changed[np.unique(ids[partner[changed]], return_index=True)[1]]
         times.append((len(changed), int(np.sum(stays[after])), np.sort(changed)))
     if not times:
-        return None
+        return
     number, kept, changed = max(times, key=lambda each: each[0] - each[1])
     far = [n > m for n, m, first in times if abs(way[first[0]] - way[changed[0]]) > 2 * _BACK_WAY]
     again = np.isin(changed, own[stays])
@@ -376,9 +272,12 @@ def _in_one_place(log: Log) -> tuple[int, str] | None:
     if (number >= _FEWEST_CHANGED and number > _MORE * kept) or (
         number == _FEWEST_CHANGED - 1 and not kept and not any(far) and again.all()
     ):
-        renamed = ", ".join(f"{ids[partner[k]]} becomes {ids[k]}" for k in changed[:3].tolist())
-        return int(seen.steps[changed[0]]), renamed
-    return None
+        renamed = ", ".join(" becomes ".join(map(str, (ids[partner[k]], ids[k]))) for k in changed[:3].tolist())
+        step = int(seen.steps[changed[0]])
+        when = f"step {step}" if log.times is None else f"{log.times[step] - log.start_time:.1f} s after the start"
+        message = f"landmarks have other ids from about {when} on ({renamed})"
+        cause = "a detector may have counted them anew"
+        yield Finding("ids change", f"{message}; {cause}")
 
 
 def _previous(ids: np.ndarray) -> np.ndarray:

@@ -138,7 +138,7 @@ def test_maps_are_compared_by_id_and_by_place(truth: Path, tmp_path: Path) -> No
     # 0 is missed, 3 and 4 are exchanged, 9 does not exist; all others are 0.1 m off
     places = {1: [2.1, 3.0], 2: [4.1, 3.0], 4: [6.1, 3.0], 3: [8.1, 3.0], 9: [50.0, 50.0]}
     LandmarkMap({j: compose([1.0, 2.0, 0.5], [*p, 0.0])[:2] for j, p in places.items()}).save(tmp_path / "map.csv")
-    options = {"true_map": tmp_path / "true.csv", "maps": (str(tmp_path / "map.csv"),)}
+    options = {"true_map": tmp_path / "true.csv", "map": (str(tmp_path / "map.csv"),)}
     by_id = comparisons.evaluate(truth, estimate, **options).estimates[0]
     assert (by_id.landmarks, by_id.missed, by_id.false) == (5, 1, 1)
     assert by_id.landmark_rmse_m == pytest.approx(np.sqrt((2 * 0.1**2 + 1.9**2 + 2.1**2) / 4), rel=1e-6)
@@ -154,7 +154,7 @@ def test_a_map_with_other_ids_has_no_error_and_a_note_says_so(truth: Path, tmp_p
     places = {j: [2.0 * j, 3.0] for j in range(5)}
     LandmarkMap(places).save(tmp_path / "true.csv")
     LandmarkMap({j + 100: place for j, place in places.items()}).save(tmp_path / "map.csv")
-    options = {"true_map": tmp_path / "true.csv", "maps": (str(tmp_path / "map.csv"),)}
+    options = {"true_map": tmp_path / "true.csv", "map": (str(tmp_path / "map.csv"),)}
     by_id = comparisons.evaluate(truth, estimate, **options)
     assert by_id.estimates[0].landmark_rmse_m is None
     assert by_id.notes == (
@@ -185,7 +185,7 @@ def test_what_run_writes_has_the_errors_of_its_table(tmp_path: Path) -> None:
     comparison.save(tmp_path, figures=())
     save(load(sample_log_path()), tmp_path / "log.npz")
     for right in (tmp_path / "truth.tum", tmp_path / "log.npz"):
-        options = {"maps": [str(tmp_path / "graph-map.npz")], "true_map": str(tmp_path / "truth-map.csv")}
+        options = {"map": [str(tmp_path / "graph-map.npz")], "true_map": str(tmp_path / "truth-map.csv")}
         if right.suffix == ".npz":
             del options["true_map"]
         found = comparisons.evaluate(right, tmp_path / "graph.tum", **options).estimates[0]
@@ -248,9 +248,9 @@ def test_impossible_input_is_refused_with_a_sentence(truth: Path, tmp_path: Path
     with pytest.raises(OptionError, match="name at least one estimate"):
         comparisons.evaluate(truth)
     with pytest.raises(OptionError, match="there are 2 maps for 1 estimates; name one for each, - for none"):
-        comparisons.evaluate(truth, estimate, maps=["-", "-"])
+        comparisons.evaluate(truth, estimate, map=["-", "-"])
     with pytest.raises(OptionError, match="name it with --true-map FILE"):
-        comparisons.evaluate(truth, estimate, maps=["map.csv"])
+        comparisons.evaluate(truth, estimate, map=["map.csv"])
     with pytest.raises(LogError, match="a trajectory is a table"):
         comparisons.evaluate(truth, tmp_path / "graph.g2o")
     with pytest.raises(FormatError):

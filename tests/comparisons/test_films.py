@@ -425,7 +425,7 @@ class TestCommandLine:
                 "must be one of graph, association, fastslam1, fastslam2, mcl, isam2",
             ),
             (["film.gif", "--fps", "-1"], "fps must be a positive number"),
-            (["film.gif", "--robust", "gnc"], "gnc solves many"),
+            (["film.gif", "--kernel", "gnc"], "gnc solves many"),
         ],
     )
     def test_refuses(self, arguments: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -48,7 +48,7 @@ def test_every_verb_writes_what_the_schema_says(write):
     found = write("run", "log.npz", "--particles", 20, "--noise", "book", "--out", "out", "--figures", "png")
     valid("run", found)
     assert json.loads(Path("out/comparison.json").read_text()) == found
-    valid("evaluate", write("evaluate", "log.npz", "out/graph.tum", "--maps", "out/graph-map.npz"))
+    valid("evaluate", write("evaluate", "log.npz", "out/graph.tum", "--map", "out/graph-map.npz"))
     valid("solvers", write("solvers", "log.npz", "--edges", "landmark+motion", "--motion-weights", 1, "--jobs", 0))
     valid("backends", write("backends", "out/graph.g2o"))
     valid("particles", write("particles", "log.npz", "--particles", "10,20", "--seeds", 2, "--jobs", 0))

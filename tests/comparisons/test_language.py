@@ -23,13 +23,11 @@ import numpy as np
 import pytest
 import typer
 from matplotlib.text import Text
-from rich.cells import cell_len
 from typer import rich_utils
 from typer.testing import CliRunner
 
 from comparisons import animate, comparison, run, write_report
 from comparisons.cli import VERBS, app, make_app
-from comparisons.cli.help import line_breaks
 from comparisons.cli.output import language_of_words
 from comparisons.cli.verb import name_of
 from comparisons.estimators import filters
@@ -68,7 +66,7 @@ SOURCES: tuple[Callable[..., Any], ...] = (
     readings.single_pose,
     readings.nothing_measured, given.against_truth, given._headings, given.against_map, ids.misread_ids, ids.ids_of,
     ids.changed_ids, cells.repeated_times, geometry.sideways_poses, geometry.sideways_speed, cells.repeated_sightings,
-    streams._why_few, readings.orientations_of, geometry.chosen_axes,
+    streams._why_few, readings.orientations_of,
 )  # fmt: skip
 #: strings of these functions that are no sentences
 NO_SENTENCES = {
@@ -279,16 +277,6 @@ def test_the_language_is_known_before_the_words_are_parsed(
     # a stream without the letters of the language
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding="ascii"))
     assert language_of_words(words) == "en"
-
-
-def test_lines_of_japanese_break_where_they_may() -> None:
-    text = "姿勢、地図（ランドマーク）を推定します。"
-    breaks = line_breaks(text, 10)
-    lines = [text[a:b] for a, b in zip([0, *breaks], [*breaks, len(text)])]
-    assert "".join(lines) == text
-    assert all(cell_len(line) <= 10 for line in lines)
-    assert not any(line.startswith(("、", "）", "。", "ー")) or line.endswith("（") for line in lines)
-    assert line_breaks("a sentence of words", 10) == [11]
 
 
 @pytest.mark.parametrize(

@@ -43,10 +43,6 @@ from graphslam.calibration import Calibration
         "odometry.csv: the robot drives sideways ('vy') for 65% of its way, which controls (nu, omega) leave out: dead "
         "reckoning is wrong, and estimates rest on the sightings; OnlineSolver.move(motion=..., covariance=...) takes "
         "motions in any direction",
-        "tags.csv: x, y and z are taken as right, down and ahead, the axes of a camera (axes='optical'), because y seems to "
-        "be the height of the landmarks; if z is the height, add axes='forward-left'",
-        "tags.csv: axes='optical' is stated, but z rather than y seems to be the height of the landmarks; compare with "
-        "axes='forward-left'",
         "the orientations have the opposite sign, m_theta - theta - phi: read like this, the heading of a landmark changes "
         "by 0.037 instead of 0.19 rad over short ways (median); make them psi = theta + phi - m_theta or leave out their "
         "column",
@@ -98,7 +94,7 @@ SEEN = "63 sightings of landmarks 0, 7 and 8 of the map "
         SEEN + "fit no first pose of d: at the best place 3 of them agree; is it the map of another place, are ids "
         "misread, or has the noise of the sensor another size?",
         "1 sighting of landmark 0 of the map fit no first pose of d: at the best place 0 of them agree; they would with the "
-        "map with ids one lower: do the ids of one count from 0, and of the other from 1?",
+        "map in feet: give it in metres",
         "d sees only landmark 3 of the map, and one landmark without a heading does not say where the robot is: two are "
         "needed",
         "d has sightings without ids, and they do not say surely where in the map it begins: (-3.88, -1.42) m, 83 degrees "

@@ -237,7 +237,6 @@ def test_a_failed_write_keeps_the_old_file(tmp_path, monkeypatch):
 
 
 def test_the_datum_of_positions_is_the_first_fix_with_its_altitude_and_kept_by_files(tmp_path):
-    """It was in a note alone, without the height. Files of earlier versions still have it there."""
     odometry = {"t": [0.0, 1.0, 2.0], "nu": [1.0, 1.0, 1.0], "omega": [0.0, 0.0, 0.0]}
     sightings = {"t": [0.0, 1.0, 2.0], "id": [1, 1, 1], "range": [3.0, 2.0, 1.0], "bearing": [0.0, 0.0, 0.0]}
     fixes = {"t": [0.0, 2.0], "lat": [60.0, 60.001], "lon": [25.0, 25.0], "alt": [2000.0, 2010.0], "sigma": [1.0, 1.0]}
@@ -248,7 +247,3 @@ def test_the_datum_of_positions_is_the_first_fix_with_its_altitude_and_kept_by_f
     assert log.positions.places[1, 1] - low.positions.places[1, 1] == pytest.approx(2000 * np.deg2rad(0.001), rel=1e-4)
     save(log, tmp_path / "log.npz")
     assert load(tmp_path / "log.npz").positions.equals(log.positions)
-    content = dict(np.load(tmp_path / "log.npz"))
-    del content["positions_datums"]
-    np.savez(tmp_path / "old.npz", **content)
-    assert np.array_equal(load(tmp_path / "old.npz").positions.datums, [[60.0, 25.0, 0.0]] * 2)

@@ -201,15 +201,7 @@ def test_ids_that_are_exchanged_in_the_middle(own):
     names = own.landmark_ids
     ids[middle:] = np.roll(names, 5)[np.searchsorted(names, ids[middle:])]
     found = message(own.replace(landmarks=ids, true_poses=None), "ids change")
-    assert "distances between two landmarks change" in found or " becomes " in found
-
-
-def test_ids_that_change_are_shown_by_the_true_poses():
-    log = simulate(seed=0)
-    ids, middle, names = log.landmarks.copy(), len(log.landmarks) // 2, log.landmark_ids
-    ids[middle:] = np.roll(names, 1)[np.searchsorted(names, ids[middle:])]
-    found = message(log.replace(landmarks=ids), "ids change")
-    assert "(seen from the true poses 6 of 6 landmarks are elsewhere)" in found
+    assert " becomes " in found
 
 
 TRUTH = {
