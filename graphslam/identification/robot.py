@@ -414,7 +414,8 @@ def _correlations(log: Log, sparse: Log, used: np.ndarray, fitted: Unknowns, rng
     All are zero where no `excess` is significant.
     """
     part = _beginning(log, MOST_CORRELATED)
-    more = excess(solved_with(fitted, part, part.landmarks, (2, 1)), rng)
+    # with numbers of its own, so that it changes none of the others
+    more = excess(solved_with(fitted, part, part.landmarks, (2, 1)), rng.spawn(1)[0])
     if more is None:
         return np.zeros(len(LAGS) - 1)
     whole = _everywhere(fitted, sparse.at_steps(np.arange(part.num_poses)))
