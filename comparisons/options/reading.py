@@ -23,6 +23,7 @@ from graphslam.association.map_states import map_states, session_states
 from graphslam.calibration import Calibration
 from graphslam.errors import quoted
 from graphslam.files import check_file, path_of
+from graphslam.graph.build import noise_in_map
 from graphslam.identification.corrections import honest_variances, without_biases
 from graphslam.identification.declared import CORRECTIONS, of_sensor_alone, one_after_the_other
 from graphslam.identification.known import enough_ids, unknown_noise
@@ -217,7 +218,10 @@ def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], C
         if place:
             log = log.replace(sensor=replace(log.sensor or SensorModel(), **place))
         noise = None if options.noise is None else str(options.noise)
-        known, estimate = known_noise(log, noise, motion, sensor, _map_of(options))
+        if (landmarks := _map_of(options)) is None:
+            known, estimate = known_noise(log, noise, motion, sensor)
+        else:
+            known, *_, estimate = noise_in_map(log, landmarks, None, None, noise)
         # the ids of ranges and bearings alone are never checked
         if options.check_ids is False and estimate is not None and len(log.steps) and enough_ids(log):
             advice = "to run without that check, name the noise: --noise FILE or --noise book"

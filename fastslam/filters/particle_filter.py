@@ -19,6 +19,7 @@ from graphslam import AbsolutePositions, Log, MotionModel, SensorModel
 from graphslam.association import known_noise
 from graphslam.engine import available_threads, engine
 from graphslam.errors import LogError, OptionError, checks, quoted
+from graphslam.graph.build import noise_in_map
 from graphslam.log.geometry import with_datum
 from graphslam.maps.localization import Fix
 from graphslam.se2 import Array, difference
@@ -136,7 +137,7 @@ class ParticleFilter(ABC):
             check_memory(log, self.options, maps=self.HAS_MAPS)
             if motion is None and sensor is None:
                 # for logs with ids the same choice as that of `Graph.from_log`
-                log, _ = known_noise(log, landmarks=map)
+                log = known_noise(log)[0] if map is None else noise_in_map(log, map, None, None, None)[0]
             if map is not None:
                 log = with_datum(log, map.datum, "the datum of the map")
         positions = log.positions if log is not None and self._takes_positions else None

@@ -33,7 +33,6 @@ from ..identification.result import RobotEstimate
 from ..linear.precision import check_magnitudes
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..log.measurements import MEASURED
-from ..maps.landmark_map import LandmarkMap
 from ..metrics import ate
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
@@ -412,9 +411,8 @@ def score(ids: np.ndarray, true_ids: np.ndarray) -> AssociationScore:
 
 
 def known_noise(
-    log: Log, noise: str | None = None, motion: MotionModel | None = None, sensor: SensorModel | None = None,
-    landmarks: LandmarkMap | None = None,
-) -> tuple[Log, RobotEstimate | None]:  # fmt: skip
+    log: Log, noise: str | None = None, motion: MotionModel | None = None, sensor: SensorModel | None = None
+) -> tuple[Log, RobotEstimate | None]:
     """`known_robot` for all logs: where too few sightings have ids, ids and robot are found in turn (`robot_of`).
 
     The log keeps its sightings without ids; they are corrected by the biases that were found.
@@ -422,7 +420,6 @@ def known_noise(
     Args:
         noise: as for `known_robot`.
         motion, sensor: the noise with which ids are found first; default: that of the log, else the book's.
-        landmarks: a map that the robot is in, for logs with ids.
 
     Raises:
         OptionError: there is no such choice of ``noise``.
@@ -431,7 +428,7 @@ def known_noise(
     if noise is not None:
         check_choice("noise", noise, (AUTO, BOOK))
     if noise == BOOK or (noise is None and not unknown_noise(log)) or enough_ids(log):
-        return known_robot(log, noise, landmarks=landmarks)
+        return known_robot(log, noise)
     try:
         found, notes = robot_of(log, motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel())
     except (GraphError, LogError) as error:

@@ -27,7 +27,7 @@ from ..edges import (
     motion_edges,
 )
 from ..edges.robust import Kernel, kernel_of
-from ..errors import GraphError, OptionError, checks, quoted
+from ..errors import GraphError, LogError, OptionError, checks, quoted
 from ..identification.declared import Parameters
 from ..identification.known import AUTO, BOOK, enough_ids, noise_of, unknown_noise
 from ..identification.result import RobotEstimate
@@ -53,7 +53,8 @@ def noise_in_map(
     """`noise_of` a log that is solved in a map, if any.
 
     Where sightings have no ids, noise that is not known is estimated with those that the map gives, by the part of the
-    book's noise with which it gives most. The log keeps its ids: the map gives the others again by the noise that was found.
+    book's noise with which it gives most, or by the robot that association finds where it gives none. The log keeps its ids:
+    the map gives the others again by the noise that was found.
     """
     free = (motion is None, sensor is None)
     unknown = any(free) and noise != BOOK and (noise == AUTO or unknown_noise(log))
@@ -71,8 +72,15 @@ def noise_in_map(
             ids, most = found, count
         if most == len(ids):
             break
-    if most == 0 and noise == AUTO and nowhere is not None:
-        raise nowhere
+    if most == 0 and nowhere is not None:
+        # it solves graphs, so it is looked up at the call: ids and robot in turn, without the map
+        from .. import calibrate
+
+        try:
+            ids = follow(calibrate(log, source="residuals", sensor=sensor).apply(log), landmarks).landmarks
+        except (GraphError, LogError):
+            if noise == AUTO:
+                raise nowhere from None
     named, motion, sensor, robot = noise_of(log.replace(landmarks=ids), motion, sensor, noise, landmarks)
     if robot is not None:
         # ranges are corrected by ids, too

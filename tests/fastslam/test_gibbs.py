@@ -307,7 +307,7 @@ def test_biases_that_are_estimated_are_taken_out_of_what_is_sampled(monkeypatch:
     log = log.replace(sightings=turned, simulated=False, motion=None, sensor=None)
     known, _ = known_noise(log)
     estimates: list[Log] = []
-    monkeypatch.setattr(particle_filter, "known_noise", lambda log, **_: (estimates.append(log), known_noise(log))[1])
+    monkeypatch.setattr(particle_filter, "known_noise", lambda log: (estimates.append(log), known_noise(log))[1])
     problem = ParticleGibbs(log, chains=3)._problem
     # the filters of the other chains are given what the first one has found
     assert [each.motion is None for each in estimates] == [True]
