@@ -63,7 +63,7 @@ def backend_tables(comparison: BackendComparison) -> Tables:
     """A row per file and solver; below, mean ratios of the times, runs without the best chi2, and solvers left out."""
     table = LeanTable(
         "pose graphs: chi2 by one evaluator, time from the initial values until the stop rule holds",
-        ["file", "solver"], ["chi2", "chi2\n/ dof", "best", "optimum", "steps", "time", "ours /\ntheirs"],
+        ["file", "solver"], ["chi2", "chi2\n/ dof", "best", "optimum", "iterations", "time", "ours /\ntheirs"],
     )  # fmt: skip
     previous, remarks = None, []
     for row in comparison.rows:
@@ -80,7 +80,7 @@ def backend_tables(comparison: BackendComparison) -> Tables:
             remarks.append(f"graphslam takes 1/{1 / mean:.1f} of the time of {name} (geometric mean).")
     if called := dict.fromkeys(row.backend for row in comparison.rows if not row.native):
         remarks.append(
-            f"{' and '.join(called)} ({PYTHON_FACTORS}): GTSAM has no factor of its own for the points of a pose graph. "
+            f"{', '.join(called)} ({PYTHON_FACTORS}): GTSAM has no factor of its own for the points of a pose graph. "
             "Python evaluates them, which takes most of the time, so these rows are in no mean."
         )
     fits = "chi2 / dof: per degree of freedom; about 1 means that the information in the file fits the errors."
@@ -92,7 +92,7 @@ def backend_tables(comparison: BackendComparison) -> Tables:
     for entry in comparison.skipped:
         left_out.setdefault((entry.file, entry.reason), []).append(entry.backend)
     for (file, reason), names in left_out.items():
-        remarks.append(ended(f"{Path(file).name}: {' and '.join(names)} left out: {reason}"))
+        remarks.append(ended(f"{Path(file).name}: {', '.join(names)} left out: {reason}"))
     return [table], remarks
 
 

@@ -67,6 +67,11 @@ from graphslam.calibration import Calibration
         "sightings and 3.1 for motions. Perhaps the robot slips, or the sightings of several landmarks are wrong together",
         "b: positions are metres east and north of latitude 48.0, longitude 11.0 degrees (WGS 84), the first fix of an "
         "earlier log",
+        "graph did not converge: max_iterations = 100 reached (started rotation-first, gauss-newton)",
+        "graph did not converge: stuck: no step lowers the cost 1553.27, however short",
+        "graph did not converge: the last step lowered J by less than 1e-09 of it (started rotation-first, gauss-newton; J "
+        "falls at every step, because all other ends are above the values there)",
+        "a.g2o: gtsam-lm did not reach the best chi2: the cost changed by less than 1e-09 of it",
         "oo, estimated as 0.37, is more than usual robots have (at most 0.15): perhaps the turn rate has another sign or "
         "unit, or bearings count clockwise",
     ],
