@@ -23,7 +23,7 @@ from ..errors import GraphError
 from ..graph import Graph
 from ..se2 import Array
 from .certificate import GLOBAL, Certificate, prove
-from .initialize import GROWING, lower_by_halves, lower_by_turns, starting_state, starts_of_auto
+from .initialize import GROWING, descents, lower_by_halves, lower_by_turns, starting_state, starts_of_auto
 from .iteration import METHODS, Run, end_of, factorized, gauss_newton, rounding
 
 DAMPED = "levenberg-marquardt"
@@ -37,8 +37,10 @@ DOUBTFUL, DOUBTFUL_SIGHTINGS = 3.0, 1.12
 SURE = 1.03
 #: an end that took more steps is doubtful, too: slow convergence comes from large residuals, which make several minima
 SLOW = 16
+#: the most times that the search continues from an unproven end to a lower one
+DESCENTS = 5
 #: graphs of at most so many nodes are searched on from an end that is accepted, but not proven: a thorough proof (some 50
-#: factorisations) and so many further starts
+#: factorisations), so many further starts, and descents
 PROVABLE, FURTHER = 1000, 2
 #: ends whose costs differ by less than this part are one minimum
 SAME = 1e-6
@@ -150,7 +152,8 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str, *, halves:
     The search ends when the lowest end is accepted (`enough`) and no longer `open`, or after `FURTHER` more starts. Before
     another start, other turns are tried from the end of the last one (`lower_by_turns`), with a kernel only after its
     second start. From the lowest end of a search that took these, random halves of the measurements are left out
-    (`lower_by_halves`), unless the ends of a large graph agree. The whole search after the first end is bounded by a
+    (`lower_by_halves`), unless the ends of a large graph agree. If it is not accepted or still open then, the search
+    continues along the negative direction that its failed proof shows. The whole search after the first end is bounded by a
     multiple of the steps that led to it.
 
     An end with a higher cost than the given values never counts. If no run converges to a lower one, Levenberg-Marquardt
@@ -214,6 +217,8 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str, *, halves:
         effort.most = max(effort.most, effort.spent + FINAL * effort.most)
         ends += _lower(graph, run_from, _lowest(good), lower_by_halves, "without halves", ends, effort)
         good = _counted(ends, given)
+    if good and (not enough(good) or _lowest(good).open):
+        ends += _descended(graph, run_from, method, _lowest(good), effort)
     if error is not None and not any(end.run.converged for end in ends):
         # if nodes are undetermined, Omega is singular at the given values as well, and this raises; if only a later state
         # was singular, it does not
@@ -286,6 +291,30 @@ def _lower(
         return []
     effort.spent += lower.steps
     return [replace(lower, before=lower.before + end.steps)]
+
+
+def _descended(graph: Graph, run_from: Callable[..., Run], method: str, end: End, effort: _Effort) -> list[End]:
+    """Lower and lower ends, each reached along the negative direction that the proof of the one before has found."""
+    found: list[End] = []
+    best: End | None = end
+    while best is not None and best.certificate.direction is not None and len(found) < DESCENTS:
+        lower = None
+        for start in descents(graph, best.run.state, best.certificate.direction):
+            if effort.left <= 0:
+                return found
+            try:
+                run = run_from(start, method)
+            except GraphError:
+                continue
+            effort.spent += len(run.step_norms)
+            run.reason += f" (started from a higher end, {method})"
+            end = End(graph, run, method)
+            if run.converged and end.cost < best.cost * (1 - SAME):
+                lower = end
+                found.append(end)
+                break
+        best = lower
+    return found
 
 
 def _starts(graph: Graph, ends: list[End], effort: _Effort) -> Iterator[tuple[str, Array]]:
