@@ -124,7 +124,7 @@ class Reader:
         names = (" or ".join(dict.fromkeys((role, *NAMES[role][:3]))) for role in roles)
         named_so = " and none for ".join(f"{role} (named {each}, ...)" for role, each in zip(roles, names))
         state = f"columns='{','.join(f'{self.kind}.{role}=NAME' for role in roles)}'"
-        which = f"Say which: {state}"
+        which = f"Say which it is: {state}" if len(roles) == 1 else f"Say which they are: {state}"
         if roles == ("id",):
             # many sensors have no ids, so that only a column without another use is asked about
             if not self.unused:
@@ -186,7 +186,7 @@ class Reader:
             if role in self.found:
                 with suppress(LogError):
                     columns[role] = self.table.numbers([self.found[role].column])[:, 0]
-        faults = list[Fault]()
+        faults, of_psi = list[Fault](), None
         for role, values in columns.items():
             title = self.table.title(self.found[role].column)
             if MEASURES.get(role) == "time":
@@ -200,6 +200,7 @@ class Reader:
                     number = columns["bearing" if role == "range" else "range"]
                     fault = replace(fault, rows=fault.rows & ~(np.isnan(values) & np.isfinite(number)))
                 faults.append(fault)
+                of_psi = fault if role == "orientation" else of_psi
                 faults += (
                     range_faults(values, columns.get("bearing"))
                     if role == "range"
@@ -214,8 +215,18 @@ class Reader:
             strict=self.options.strict, source=self.table.source,
         )  # fmt: skip
         if not kept.all():
+            others = np.any([each.rows for each in faults if each is not of_psi], axis=0)
+            notes += self._without_orientation(~kept & ~others)
             self.table = Kept(self.table, np.flatnonzero(kept), notes)
         return self.table
+
+    def _without_orientation(self, rows: np.ndarray) -> tuple[str, ...]:
+        """A note on rows (N,) bool that are left out for nothing but their orientation, if there are any."""
+        if not (rows.any() and self.has("orientation")):
+            return ()
+        what = f"nothing but {self.table.title(self.found['orientation'].column)} leaves out {np.count_nonzero(rows):,} of "
+        advice = "remove that column if the ranges and bearings of all sightings say more"
+        return (f"{self.table.source}: {what}{len(rows):,} sightings: {advice}",)
 
     def without_empty(self, role: str) -> tuple[str, ...]:
         """Do without a column of which more cells are empty than rows may be left out; returns a note on that."""
@@ -330,6 +341,9 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     reader = Reader("odometry", table, options)
     motion = ("x", "y") if reader.has("x", "y") and not reader.has("nu", "omega") else ("nu", "omega")
     needed = motion if "x" not in motion or reader.has("qz", "qw") else (*motion, "theta")
+    seen = find("sightings", table, ROLES["sightings"], {}, {}, ROLES["sightings"]).keys()
+    if not reader.has(*needed) and {"id", "range", "bearing"} <= seen:
+        raise table.error(None, "it has the columns of sightings: are the two tables exchanged?")
     instead = ", and none for x, y and theta instead of nu and omega"
     reader.need("t", *needed, instead="" if "x" in motion or reader.has(*motion) else instead)
     table = reader.leave_out(*(_POSE if "x" in motion else motion))

@@ -308,14 +308,19 @@ def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
             raise LogError(f"{lasts}, and {rows}: {advice}")
         return
     offset = (begin - first) / 1e9
+    hours = offset / 3600
     remedy = f"clocks='{kind}={f'{offset:.3f}'.rstrip('0').rstrip('.')}' lets both begin together"
     finer, which, ratio = odometry, "odometry", (end - begin) / (last - first or end - begin)
     if ratio < 1:
         finer, which, ratio = other, kind, (last - first) / (end - begin)
-    if unit := _finer_unit(finer, ratio):
+    if min(begin, first) < 1e16 < max(begin, first):
+        cause = "one counts from 1970 and the other from its own start"
+    elif unit := _finer_unit(finer, ratio):
         cause, remedy = f"the times of {_name(finer)} seem to be in another unit", f"if so, add time='{which}={unit}'"
+    elif abs(hours) >= 0.9 and abs(hours - round(hours)) < 0.05 and abs(hours) < 26:
+        cause = f"they differ by about {abs(round(hours))} h, as two time zones do"
     else:
-        cause = "they begin at different moments, are of different drives, or one clock was not set"
+        cause = "they are of different drives, or one clock was not set"
     names = f"{_name(odometry)} ({whole}) and {_name(other)} ({others})"
     raise LogError(f"the clocks of {names} do not overlap: {cause}; {remedy}")
 

@@ -124,6 +124,8 @@ class TextTable(Table):
                 message = f"{self.title(column)} should be a number, not {quoted(cells[column])}"
                 if tuple(cells) == self.names:
                     message += "; this line repeats the header, as where files were joined; delete it"
+                elif re.fullmatch(r"[\d.,'’\s]*[.,'’\s][\d.,]*", cells[column]):
+                    message += "; write decimals with a point, and thousands without a mark"
                 raise self.error(row, message) from None
         return values
 

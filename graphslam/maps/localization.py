@@ -443,14 +443,25 @@ def _corrected(landmarks: LandmarkMap) -> Iterator[tuple[str, LandmarkMap]]:
         yield name, LandmarkMap(places, {j: C[:2, :2] * squares for j, C in landmarks.covariances.items()})
 
 
+def _numbered(landmarks: LandmarkMap) -> Iterator[tuple[str, LandmarkMap]]:
+    """The map with ids that count from another number, as those of the log may, and what is said of it."""
+    for step, way in ((1, "higher"), (-1, "lower")):
+        places = {j + step: place[:2] for j, place in landmarks.items() if j + step >= 0}
+        of_places = {j + step: C[:2, :2] for j, C in landmarks.covariances.items() if j + step >= 0}
+        yield (
+            f"with ids one {way}: do the ids of one count from 0, and of the other from 1?",
+            LandmarkMap(places, of_places),
+        )
+
+
 def _cause(log: Stretch, landmarks: LandmarkMap, found: list[Weighed]) -> str:
-    """The change with which the map surely fits better than as it is: mirrored, or in another unit; "" without any.
+    """The change with which the map surely fits better than as it is: mirrored, another unit, or ids; "" without any.
 
     All sightings are used, because the first few may agree with the landmarks of a map in a wrong unit by chance.
     """
     drift = Drift(log)
     likely, most = "", max((float(np.mean(each.agree)) for each in found[:1]), default=0.0)
-    for name, changed in _corrected(landmarks):
+    for name, changed in (*_corrected(landmarks), *_numbered(landmarks)):
         rows = np.flatnonzero(np.isin(log.landmarks, list(changed)))
         fix = _searched(log, changed, rows, drift, first=len(rows))[0] if len(rows) else None
         if fix is None or fix.odds <= SURE or len(np.unique(log.landmarks[fix.agree])) <= 2:

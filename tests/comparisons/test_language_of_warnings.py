@@ -99,7 +99,7 @@ SEEN = "63 sightings of landmarks 0, 7 and 8 of the map "
         SEEN + "fit no first pose of d: at the best place 3 of them agree; is it the map of another place, are ids "
         "misread, or has the noise of the sensor another size?",
         "1 sighting of landmark 0 of the map fit no first pose of d: at the best place 0 of them agree; they would with the "
-        "map in feet: give it in metres",
+        "map with ids one lower: do the ids of one count from 0, and of the other from 1?",
         "d sees only landmark 3 of the map, and one landmark without a heading does not say where the robot is: two are "
         "needed",
         "d has sightings without ids, and they do not say surely where in the map it begins: (-3.88, -1.42) m, 83 degrees "

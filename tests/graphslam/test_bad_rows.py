@@ -6,6 +6,7 @@ from typer.testing import CliRunner
 
 import comparisons
 from comparisons.cli import app
+from comparisons.show.language import translated
 from graphslam import FormatError, LogError, OnlineSolver, OptionError, load, sample_log_path, save
 from graphslam.log import UNIDENTIFIED
 
@@ -215,6 +216,16 @@ def test_an_orientation_of_some_landmarks_alone_is_not_used(drive):
     assert f"sightings.csv: {(M + 1) // 2} of {M} rows have no 'psi', so that this column is not used" in log.notes[0]
     with pytest.raises(FormatError, match="'psi' is empty or NaN"):
         load(drive({(row, 4): "" for row in range(0, M, 2)}), strict=True)
+
+
+def test_sightings_that_are_left_out_for_their_orientation_alone_are_counted(drive):
+    """Three have range and bearing; a fourth has no range either."""
+    log = load(drive({(row, 4): "" for row in (3, 8, 20, 30)} | {(30, 2): "nan"}))
+    assert len(log.steps) == M - 4
+    (note,) = (each for each in log.notes if "nothing but" in each)
+    assert f"sightings.csv: nothing but 'psi' leaves out 3 of {M} sightings: remove that column" in note
+    assert f"{M}個のセンサ値のうち3個は" in translated(note, "ja")
+    assert not any("nothing but" in each for each in load(drive({(30, 2): "nan"})).notes)
 
 
 def test_a_sensor_that_gives_minus_one_where_it_sees_nothing(drive):

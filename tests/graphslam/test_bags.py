@@ -396,7 +396,7 @@ MISTAKES = {
     "frames of TF": "there is no topic of TF, which should have sightings from frames",
     "no positions": "a.mcap: /seen: its detections have no positions, all are zero or absent",
     "other clock": r"the clocks of .*a.mcap: /odom \(1716000000.123 to 1716000020.073 s\) and .*a.mcap: /markers \(1.000 to "
-    r"14.300 s\) do not overlap: they begin at different moments, are of different drives, or",
+    r"14.300 s\) do not overlap: one counts from 1970 and the other from its own start",
     "quaternions not normalised": "a.mcap: /odom, message 1: the quaternion has length 0, but a rotation has length 1: no "
     "orientation was measured",
     "cut": r"a.mcap: the bag was cut short .*mcap recover a.mcap",

@@ -269,6 +269,8 @@ def test_maps_that_do_not_fit_are_refused_with_the_cause():
     log = simulate(steps=40, seed=1, clean=True, orientation=False, max_range=10.0, **MODELS)
     true = {j: m[:2] for j, m in log.true_landmarks.items()}
     assert "mirrored" in refused(log, {j: m * (1, -1) for j, m in true.items()})
+    assert "with the map with ids one lower" in refused(log, {j + 1: m for j, m in true.items()})
+    assert "with the map with ids one higher" in refused(log, {j - 1: m for j, m in true.items() if j > 0})
     assert "in millimetres" in refused(log, {j: m * 1000 for j, m in true.items()})
     assert "in feet" in refused(log, {j: m / 0.3048 for j, m in true.items()})
     # metres of a degree at 35.6 degrees of latitude, by the radii of curvature of the ellipsoid WGS 84

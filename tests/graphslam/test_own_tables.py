@@ -352,11 +352,23 @@ def test_a_column_that_may_have_the_ids_is_asked_for(drive):
 
 
 def test_columns_that_are_missing_are_said_together(drive):
-    missing = r"odometry.csv: no column for t \(.*\) and none for nu \(.*\) and none for omega .* a, b, c. Say which"
-    with pytest.raises(LogError, match=missing + ": columns='odometry.t=NAME,odometry.nu=NAME,odometry.omega=NAME'"):
+    missing = (
+        r"odometry.csv: no column for t \(.*\) and none for nu \(.*\) and none for omega .* a, b, c. Say which they"
+    )
+    with pytest.raises(
+        LogError, match=missing + " are: columns='odometry.t=NAME,odometry.nu=NAME,odometry.omega=NAME'"
+    ):
         load(drive(odometry=text("a,b,c", ODOMETRY)))
     with pytest.raises(LogError, match=r"no column for t .* and none for bearing .* it has moment, id, range, way\."):
         load(drive(sightings=text("moment,id,range,way", SEEN)))
+
+
+def test_exchanged_tables_are_said(drive):
+    with pytest.raises(LogError, match="odometry.csv: it has the columns of sightings: are the two tables exchanged?"):
+        load(drive(odometry=text("t,id,range,bearing", SEEN), sightings=text("t,nu,omega", ODOMETRY)))
+    moved, seen = {"t": [0, 1], "nu": [1, 1], "omega": [0, 0]}, {"t": [0], "id": [1], "range": [2], "bearing": [0]}
+    with pytest.raises(LogError, match="^odometry: it has the columns of sightings"):
+        Log.from_tables(seen, moved)
 
 
 def test_columns_of_one_name_have_numbers(drive, expected):

@@ -253,7 +253,7 @@ MISTAKES = {
         {"sightings": text("t,id,range,way", [(*row[:3], 0.0) for row in SEEN])},
         r"sightings.csv: no column for bearing \(named bearing or b or phi, ...\), and none for x and y instead of range "
         r"and bearing \(a sensor that measures one of them has an empty column of the other\); "
-        r"it has t, id, range, way. Say which: columns='sightings.bearing=NAME'",
+        r"it has t, id, range, way. Say which it is: columns='sightings.bearing=NAME'",
     ),
     "a range from the robot's centre": (
         {
@@ -298,7 +298,11 @@ MISTAKES = {
     "disjoint clocks": (
         {"odometry": text("t,nu,omega", [(t + 1_716_000_000, v, w) for t, v, w in ODOMETRY])},
         r"odometry.csv \(1716000000.000 to 1716000020.000 s\) and .*sightings.csv \(0.200 to 12.000 s\) do not overlap: "
-        r"they begin at different moments, .* or one clock was not set; clocks='sightings=1715999999.8' lets",
+        r"one counts from 1970 and the other from its own start; clocks='sightings=1715999999.8' lets",
+    ),
+    "time zones": (
+        {"sightings": text("t,id,range,bearing", [(t + 7200, *row) for t, *row in SEEN])},
+        "do not overlap: they differ by about 2 h, as two time zones do; clocks='sightings=-7200.2'",
     ),
     "no overlap with the truth": (
         {"truth": text("t,x,y,theta", [(t + 500, 0.0, 0.0, 0.0) for t in T.tolist()])},
