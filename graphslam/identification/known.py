@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,10 +11,12 @@ from ..errors import GraphError, LogError, OptionError
 from ..errors.checks import check_choice
 from ..log import UNIDENTIFIED, Log
 from ..log.cells import DOUBTFUL_NOISE
-from ..maps.landmark_map import LandmarkMap
 from ..models import MotionModel, SensorModel
 from .result import RobotEstimate
 from .robot import FEWEST
+
+if TYPE_CHECKING:
+    from ..maps.landmark_map import LandmarkMap
 
 #: how the note begins that says why
 BOOKS = "the noise models are the book's"
