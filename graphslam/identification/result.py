@@ -261,7 +261,8 @@ class RobotEstimate(Systematic):
         p = self.parameters
         informed = [name for name in p.names if p.deviations[name] < MIN_INFORMATION * p.priors[name][1]]
         if informed:
-            lines.append(f"biases estimated from this log{' in its map' * self.in_map}: {p.sentence_of(informed)}")
+            what = "biases estimated from this log in its map" if self.in_map else "biases estimated from this log"
+            lines.append(f"{what}: {p.sentence_of(informed)}")
         if uninformed := [name for name in p.names if name not in informed]:
             lines.append(f"the log says little about {', '.join(uninformed)}: {p.sentence_of(uninformed)}")
         return (*lines, *self.remarks)

@@ -105,8 +105,10 @@ def _in_map(found: RobotEstimate, log: Log, known: LandmarkMap) -> RobotEstimate
     """
     from scipy.special import gammaincinv
 
+    # positions may be in another frame than the map
+    sighted = found.log.replace(partial_sightings=None, relations=None, positions=None)
     try:
-        graph = Graph.from_log(found.log, motion=found.motion, sensor=found.sensor, map=known, edges="landmark+motion")
+        graph = Graph.from_log(sighted, motion=found.motion, sensor=found.sensor, map=known, edges="landmark+motion")
         alone = solve(graph)
         held = None if alone.graph is None else alone.graph.held
         if alone.graph is None or held is None or not alone.converged:
@@ -120,7 +122,7 @@ def _in_map(found: RobotEstimate, log: Log, known: LandmarkMap) -> RobotEstimate
     except (GraphError, np.linalg.LinAlgError):
         return found
     of_log = dict(zip(found.parameters.names, found.parameters.values.tolist()))
-    both = one_after_the_other(_corrections(of_log), _corrections(dict(zip(p.names, p.values.tolist()))))
+    both = one_after_the_other(of_log, dict(zip(p.names, p.values.tolist())))
     values = np.array([p[name] if name in PLACE else both[name] for name in p.names])
     if away @ np.linalg.solve(covariance, away) > 2 * gammaincinv(len(away) / 2, SURELY):
         apart = np.abs(away) / np.sqrt(np.diag(covariance))
@@ -136,10 +138,6 @@ def _in_map(found: RobotEstimate, log: Log, known: LandmarkMap) -> RobotEstimate
     ahead, left = (p[name] if name in p.names else here for name, here in zip(PLACE, found.sensor.offset))
     found = replace(found, parameters=of_both, sensor=replace(found.sensor, offset=(ahead, left)), in_map=True)
     return replace(found, log=found.corrected(found.ids.correct(log)))
-
-
-def _corrections(values: Mapping[str, float]) -> dict[str, float]:
-    return {name: value for name, value in values.items() if name not in PLACE}
 
 
 def _without_map(solution: Solution) -> tuple[Array, Array]:
