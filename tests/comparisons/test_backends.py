@@ -59,9 +59,7 @@ def test_peers_take_no_edges_that_they_would_ignore(triangle, edge):
     outcome = compare_backends([triangle], repeat=1)
     assert [row.backend for row in outcome.rows] == ["graphslam"]
     assert [each.backend for each in outcome.skipped] == list(BACKENDS[1:])
-    assert (
-        "triangle.g2o: gtsam-lm, gtsam-gn" in (text := as_text(outcome, 500)) and "do not belong to a pose" in text
-    )
+    assert "triangle.g2o: gtsam-lm, gtsam-gn" in (text := as_text(outcome, 500)) and "do not belong to a pose" in text
     for name in BACKENDS[1:]:
         with pytest.raises(OptionError, match="do not belong to a pose graph|needs the package"):
             compare_backends([triangle], backends=[name], repeat=1)
