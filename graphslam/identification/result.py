@@ -379,6 +379,8 @@ class RobotEstimate(Systematic):
             lines.append(f"{nameless} of {count} sightings have no id and were not used for the estimate")
         if (contradicting := self.ids.sentence) is not None:
             lines.append(contradicting)
+        if self.ids.sentence_on_moved is not None:
+            lines.append(self.ids.sentence_on_moved)
         if self.inflation > 1:
             span = LAGS[int(np.count_nonzero(self.correlations))]
             lines.append(

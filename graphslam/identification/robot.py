@@ -301,7 +301,8 @@ def with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel) -> Log:
             f"{ids.share:.0%} of the sightings contradict their id by this noise, more than sensors misread; is it the noise "
             "of this robot?"
         )
-    notes = tuple(slip.sentence(log) for slip in slips) + ((ids.sentence,) if ids.sentence is not None else ())
+    of_ids = (each for each in (ids.sentence, ids.sentence_on_moved) if each is not None)
+    notes = (*(slip.sentence(log) for slip in slips), *of_ids)
     if not notes:
         return log
     return ids.correct(log).replace(notes=(*log.notes, *notes), control_variances=drive.control_variances)

@@ -16,7 +16,7 @@ Errors of scans: a sensor that shakes, or inexact times, give all sightings of o
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -107,6 +107,10 @@ class Predictions:
         return squares, -0.5 * (squares + np.linalg.slogdet(2 * np.pi * covariances)[1]), single
 
 
+#: the least gain of the log likelihood by a part of the sightings with a rate of contradictions of its own. A landmark was
+#: moved where the gain is above the second number (22 by lasting errors of MR.CLAM) and the rate above the third, perhaps so
+#: many seconds earlier or later, and the robot was where more than the last part of the landmarks seem to be
+BURST, MOVED, ELSEWHERE, FOLLOWED, MOST_MOVED = 12.5, 25.0, 0.35, 10.0, 0.4
 #: an id that so many sightings have which fit no landmark, and a quarter of these, is named: other objects may have it
 FEWEST_DOUBLED = 10
 
@@ -120,6 +124,7 @@ class Ids:
         changed, dropped: (M,) bool: those, and the sightings that fit no landmark.
         identified: (M,) bool, the sightings that have an id; the others are neither.
         by_range: of sightings whose bearing fits, how many ranges are far too long, far too short, and neither.
+        moved: {an id that is not in the log: (that of the landmark, when it was moved [s] since the first pose)}.
     """
 
     landmarks: np.ndarray
@@ -127,6 +132,7 @@ class Ids:
     dropped: np.ndarray
     identified: np.ndarray
     by_range: tuple[int, int, int] = (0, 0, 0)
+    moved: Mapping[int, tuple[int, float]] = field(default_factory=dict)
 
     @property
     def share(self) -> float:
@@ -139,12 +145,22 @@ class Ids:
         changed, dropped, count = (int(each.sum()) for each in (self.changed, self.dropped, self.identified))
         if changed + dropped == 0:
             return None
-        doubled, times = np.unique(self.landmarks[self.dropped], return_counts=True)
-        doubled = doubled[times >= max(FEWEST_DOUBLED, dropped / 4)]
+        doubled = _doubled(self.landmarks, self.dropped)
         several = f"; several objects may have the id {named(doubled)}" if len(doubled) else ""
         return (
             f"{changed + dropped} of {count} sightings ({self.share:.1%}) contradict their id: {changed} got the id of the "
             f"landmark that fits, {dropped} fit none and were left out{several}"
+        )
+
+    @property
+    def sentence_on_moved(self) -> str | None:
+        """Which landmarks were moved, for the notes of an estimate; None where none was."""
+        if not self.moved:
+            return None
+        each = named((f"{old} at {t:.0f} s ({new})" for new, (old, t) in self.moved.items()), MOST_NAMED)
+        return (
+            "landmarks are in other places before and after a moment, as if somebody had moved them (landmark, seconds after "
+            f"the start, and a further id for its sightings on one side): {each}"
         )
 
     @property
@@ -164,7 +180,7 @@ class Ids:
         identified = landmarks != UNIDENTIFIED
         whole, changed, dropped = landmarks.copy(), np.zeros_like(identified), np.zeros_like(identified)
         whole[identified], changed[identified], dropped[identified] = self.landmarks, self.changed, self.dropped
-        return Ids(whole, changed, dropped, identified, self.by_range)
+        return replace(self, landmarks=whole, changed=changed, dropped=dropped, identified=identified)
 
     def correct(self, log: Log) -> Log:
         """The log with these ids, without the sightings that fit no landmark."""
@@ -190,13 +206,12 @@ def checked_ids(log: Log, unknowns: Unknowns, alone: np.ndarray, rng: np.random.
     own, density = np.full(len(landmarks), np.inf), np.full(len(landmarks), -np.inf)
     known = np.flatnonzero(np.isin(landmarks, ids))
     own[known], density[known], single = predictions.distances(log, known, np.searchsorted(ids, landmarks[known]))
-    by_range = _by_range(single)
     unlikely = _unlikely(log, np.flatnonzero(alone), density)
     own[unlikely] = UNLIKELY
     supported = np.isin(landmarks, ids[strong])
     tried = np.flatnonzero((own > CONTRADICTS) | ~supported)
     if len(tried) == 0 or len(strong) == 0:
-        return Ids(landmarks, changed, dropped, np.ones_like(dropped), by_range)
+        return Ids(landmarks, changed, dropped, np.ones_like(dropped), _by_range(single))
     each = [predictions.distances(log, tried, np.full(len(tried), j)) for j in strong.tolist()]
     others, densities, _ = (np.stack(values) for values in zip(*each))
     # an id that is more probably wrong than right does not come back
@@ -211,7 +226,53 @@ def checked_ids(log: Log, unknowns: Unknowns, alone: np.ndarray, rng: np.random.
     landmarks[tried[fits]] = ids[strong[best[fits]]]
     changed[tried[fits]] = True
     dropped[tried[~fits]] = np.isfinite(own[tried[~fits]]) & (own[tried[~fits]] > CONTRADICTS)
-    return Ids(landmarks, changed, dropped, np.ones_like(dropped), by_range)
+    parts = _moved(log, landmarks, dropped, len(ids))
+    for new, (rows, (old, moment)) in parts.items():
+        # poses of a robot that saw it being moved followed it for a while
+        dropped |= (landmarks == old) & (np.abs(sighting_times(log) - moment) < FOLLOWED)
+        landmarks[rows], dropped[rows] = new, False
+    in_place = ~np.isin(
+        log.landmarks[known], np.append(_doubled(landmarks, dropped), [old for _, (old, _) in parts.values()])
+    )
+    moved = {new: moment for new, (_, moment) in parts.items()}
+    return Ids(landmarks, changed, dropped, np.ones_like(dropped), _by_range(single[in_place]), moved)
+
+
+def _doubled(landmarks: np.ndarray, dropped: np.ndarray) -> np.ndarray:
+    """The ids that several objects may have, because many of the sightings that were left out have them."""
+    doubled, times = np.unique(landmarks[dropped], return_counts=True)
+    return doubled[times >= max(FEWEST_DOUBLED, dropped.sum() / 4)]
+
+
+def _moved(
+    log: Log, landmarks: np.ndarray, dropped: np.ndarray, count: int
+) -> dict[int, tuple[np.ndarray, tuple[int, float]]]:
+    """{new id: (rows of the sightings of a landmark on one side of a moment, (its id, the moment [s] since the first pose))}.
+
+    These contradict the place of the landmark, and those on the other side do not. Right sightings lose little by an id of
+    their own. Where many of all ``count`` landmarks seem to be elsewhere, it is the robot that was moved.
+    """
+    times, found = sighting_times(log), {}
+    new = int(landmarks.max()) + 1
+    for id in np.unique(landmarks[dropped]).tolist():
+        rows = np.flatnonzero(landmarks == id)
+        k, n = np.cumsum(dropped[rows]), np.arange(1, len(rows) + 1)
+        gain = of_rate(k, n) + of_rate(k[-1] - k, n[-1] - n) - of_rate(k[-1:], n[-1:])
+        at = int(np.argmax(gain))
+        if gain[at] < MOVED:
+            continue
+        side = max(rows[: at + 1], rows[at + 1 :], key=lambda part: dropped[part].mean())
+        wrong = dropped[side]
+        if wrong.sum() >= FEWEST_DOUBLED and wrong.mean() > ELSEWHERE and new < np.iinfo(np.int64).max:
+            found[new] = side, (id, float(times[rows[at : at + 2]].mean()))
+            new += 1
+    return found if len(found) <= MOST_MOVED * count else {}
+
+
+def of_rate(k: Array, n: Array) -> Array:
+    """The largest log likelihood k log(k/n) + (n - k) log(1 - k/n) of k of n events, both (K,)."""
+    rate = np.clip(k / np.maximum(n, 1), 1e-12, 1 - 1e-12)
+    return np.asarray(k * np.log(rate) + (n - k) * np.log1p(-rate))
 
 
 def _by_range(single: Array) -> tuple[int, int, int]:

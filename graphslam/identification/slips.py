@@ -43,6 +43,7 @@ from ..se2 import Array, perpendicular
 from .corrections import averaged_controls
 from .odometry import Edges, Odometry
 from .restricted_likelihood import DETERMINED, each_alone, gain_over, refitted, scores
+from .sighting_errors import BURST, CONTRADICTS, of_rate
 from .unknowns import Unknowns
 
 Problem = TypeVar("Problem")
@@ -356,11 +357,6 @@ def _differences(solved: Unknowns) -> tuple[Array, Array, Array]:
     return each_alone(*scores(solved, 0, -solved.by_differences()))
 
 
-#: a squared Mahalanobis distance beyond which a sighting contradicts its landmark; and the least gain of the log likelihood
-#: by a stretch with a rate of such sightings of its own
-CONTRADICTS, BURST = 30.0, 12.5
-
-
 def contradicted(solved: Unknowns) -> tuple[float, float] | None:
     """The begin and the end [s] of the stretch in which sightings contradict much more often than elsewhere, if any.
 
@@ -379,18 +375,12 @@ def contradicted(solved: Unknowns) -> tuple[float, float] | None:
     a, b = np.triu_indices(count + 1, 1)
     a, b = (each[b - a <= max(1, LONGEST * count)] for each in (a, b))
     n, k = N[b] - N[a], K[b] - K[a]
-    gain = _of_rate(k, n) + _of_rate(K[-1] - k, N[-1] - n) - _of_rate(K[-1:], N[-1:])
+    gain = of_rate(k, n) + of_rate(K[-1] - k, N[-1] - n) - of_rate(K[-1:], N[-1:])
     gain[k * N[-1] <= n * K[-1]] = 0.0
     best = int(np.argmax(gain))
     if gain[best] < BURST:
         return None
     return float(limits[max(a[best] - 1, 0)]), float(limits[min(b[best] + 1, count)])
-
-
-def _of_rate(k: Array, n: Array) -> Array:
-    """The largest log likelihood l(k, n) of k of n events (K,)."""
-    rate = np.clip(k / np.maximum(n, 1), 1e-12, 1 - 1e-12)
-    return k * np.log(rate) + (n - k) * np.log1p(-rate)
 
 
 def without_contradicted(
