@@ -324,7 +324,7 @@ class RobotEstimate(Systematic):
             )
         if self.ids.share > MANY_MISREAD:
             lines.append(
-                f"{self.ids.share:.0%} of the ids contradict the other sightings; is the column of the ids right, and did "
+                f"of the ids {self.ids.share:.0%} contradict the other sightings; is the column of the ids right, and did "
                 "the odometry neither slip nor jump?"
             )
         if (count := np.count_nonzero(self.ids.identified)) < FEW:

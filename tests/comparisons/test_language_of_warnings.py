@@ -69,7 +69,7 @@ from graphslam.calibration import Calibration
         "earlier log",
         "Not recommended: b: the log has only 98 sightings with ids, which tell the noise roughly: the trajectory may be "
         "several times less accurate than with the true noise, which motion and sensor models, or --noise FILE, give",
-        "25% of the ids contradict the other sightings; is the column of the ids right, and did the odometry neither slip "
+        "of the ids 25% contradict the other sightings; is the column of the ids right, and did the odometry neither slip "
         "nor jump?",
         "graph did not converge: max_iterations = 100 reached (started rotation-first, gauss-newton)",
         "graph did not converge: stuck: no step lowers the cost 1553.27, however short",
