@@ -392,23 +392,32 @@ def without_contradicted(
     """
     found: tuple[Slip, ...] = ()
     while len(found) < most and (stretch := contradicted(problem)) is not None:
-        assert log.controls is not None
-        largest = np.abs(log.controls).max(axis=0)
-        wide = [Slip(*stretch, column, float(largest[column]), 0.0) for column in (0, 1) if largest[column] > 0]
-        trials = [again(problem, with_slip(log, slip)) for slip in wide]
-        same = again(problem, log)
-        gains = [gain_over(trial, same) for trial in trials]
-        best = int(np.argmax(gains))
-        if gains[best] < GAINED:
-            break
         begin, end = stretch
-        times = trials[best].log.times - trials[best].log.times[0]
-        inside = (times[1:] > begin) & (times[:-1] < end)
-        e = trials[best].motions().residuals[inside].sum(axis=0)
-        size = np.hypot(*e[:2]) if wide[best].column == 0 else abs(e[2])
-        slip = replace(wide[best], rate=float(size / (end - begin)), z=float((2 * gains[best]) ** 0.5))
-        log = with_slip(log, slip)
-        problem, found = again(trials[best], log), (*found, slip)
+        if end - begin + sum(slip.end - slip.begin for slip in found) > WRONG * log.control_times[-1]:
+            break
+        assert log.controls is not None
+        largest = np.abs(log.controls).max(axis=0).tolist()
+        wide = [Slip(begin, end, column, size, 0.0) for column, size in enumerate(largest) if size > 0]
+        if not wide:
+            break
+        try:
+            same = again(problem, log)
+            trials = [(again(problem, with_slip(log, slip)), slip) for slip in wide]
+            gain, trial, slip = max(
+                ((gain_over(each, same), each, slip) for each, slip in trials), key=lambda each: each[0]
+            )
+            if gain < GAINED:
+                break
+            assert trial.log.times is not None
+            times = trial.log.times - trial.log.times[0]
+            inside = (times[1:] > begin) & (times[:-1] < end)
+            e = trial.motions().residuals[inside].sum(axis=0)
+            size = np.hypot(*e[:2]) if slip.column == 0 else abs(e[2])
+            slip = replace(slip, rate=float(size / (end - begin)), z=float((2 * gain) ** 0.5))
+            solved = again(trial, with_slip(log, slip))
+        except (GraphError, np.linalg.LinAlgError):
+            break
+        problem, log, found = solved, with_slip(log, slip), (*found, slip)
     return problem, log, found
 
 
