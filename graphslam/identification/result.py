@@ -26,12 +26,8 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .corrections import corrected_log, honest_variances, without_biases
 from .declared import KINDS, PLACE, ParameterEstimate
-<<<<<<< HEAD
-from .odometry import NOISE, sighting_times
-from .restricted_likelihood import solved_with
-=======
 from .odometry import NOISE, common_errors, sighting_times
->>>>>>> worlds
+from .restricted_likelihood import solved_with
 from .sensor_errors import Lens, Turn, turned_back, undistorted
 from .sighting_errors import LAGS, Ids, Predictions, RangeErrors, evened
 from .slips import Slip, Uneven, levelled, with_slip
