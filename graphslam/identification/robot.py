@@ -56,8 +56,8 @@ from .sighting_errors import (
     RangeErrors,
     checked_ids,
     correlations,
+    errors_last,
     evened,
-    excess,
     inflation,
     smoothed,
 )
@@ -412,16 +412,14 @@ def _everywhere(fitted: Unknowns, log: Log) -> Unknowns:
 def _correlations(log: Log, sparse: Log, used: np.ndarray, fitted: Unknowns, rng: np.random.Generator) -> np.ndarray:
     """The `smoothed` correlations (B,) of errors, from the solution of few sightings ``sparse``, (M,) bool ``used``.
 
-    All are zero where no `excess` is significant.
+    All are zero where not even all sightings show that `errors_last`.
     """
     part = _beginning(log, MOST_CORRELATED)
     # with numbers of its own, so that it changes none of the others
-    more = excess(solved_with(fitted, part, part.landmarks, (2, 1)), rng.spawn(1)[0])
-    if more is None:
+    if not errors_last(solved_with(fitted, part, part.landmarks, (2, 1)), rng.spawn(1)[0]):
         return np.zeros(len(LAGS) - 1)
     whole = _everywhere(fitted, sparse.at_steps(np.arange(part.num_poses)))
-    # where errors last, both are too small, because either solution follows them
-    return smoothed(np.fmax(more, correlations(part, whole, used[: len(part.steps)], rng)))
+    return smoothed(correlations(part, whole, used[: len(part.steps)], rng))
 
 
 def _is_exact(

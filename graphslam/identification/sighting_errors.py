@@ -46,7 +46,7 @@ LAGS = np.array([0.0, 0.15, 0.4, 1.0, 2.5, 6.0, 15.0, 40.0])
 ROUNDING = 1e-6
 #: errors correlated by less than this count as independent, and correlations of fewer pairs than this are not computed
 INDEPENDENT, FEWEST = 0.1, 20
-#: errors are correlated where the `excess` of one of this number of the shortest lags is above the second number of its
+#: errors are correlated where residuals are, at one of this number of the shortest lags, by more than the second number of
 #: standard deviations
 SHORT, SIGNIFICANT = 5, 4.0
 #: residuals are clipped to this [standard deviations], and ranges beyond are far too long or too short
@@ -319,8 +319,8 @@ def _products(values: Array, landmarks: np.ndarray, t: Array) -> Array:
     return total / np.where(count < FEWEST, np.nan, count)[:, None, None]
 
 
-def excess(every: Unknowns, rng: np.random.Generator) -> Array | None:
-    """By how much residuals of one landmark are more correlated than independent errors make them, for the lags of `LAGS`.
+def errors_last(every: Unknowns, rng: np.random.Generator) -> bool:
+    """Whether residuals of one landmark are significantly more correlated in time than those of independent errors.
 
     Independent errors w have correlated residuals r = w - J Omega^-1 J' W w, because nodes and parameters are fitted to them.
     How much, and how much that varies between drives, comes from samples of r. With all sightings the fitted part is small,
@@ -328,9 +328,6 @@ def excess(every: Unknowns, rng: np.random.Generator) -> Array | None:
 
     Args:
         every: solved with all sightings, and with the noise of few that are far apart.
-
-    Returns:
-        The differences (B,), NaN where there are too few pairs; None where none is significant.
     """
     linear = every.linearized()
     sightings, (nodes, values, errors) = linear.edges[1], linear.drawn(SAMPLES, rng)
@@ -340,17 +337,17 @@ def excess(every: Unknowns, rng: np.random.Generator) -> Array | None:
     squares = np.mean(e**2, axis=0)
     if not squares.all():
         # sightings that are all alike
-        return None
+        return False
     order, t = np.argsort(every.seen, kind="stable"), sighting_times(every.log)[every.used]
     products = _products((e / np.sqrt(squares))[order], every.seen[order], t[order])
     rho, drawn = np.split(products.mean(axis=1), [1], axis=1)
-    more = rho[:, 0] - drawn.mean(axis=1)
-    significant = more > SIGNIFICANT * drawn.std(axis=1, ddof=1)
-    return more if significant[:SHORT].any() else None
+    # too few pairs are NaN, and so is their comparison false
+    significant = rho[:, 0] - drawn.mean(axis=1) > SIGNIFICANT * drawn.std(axis=1, ddof=1)
+    return bool(significant[:SHORT].any())
 
 
 def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.Generator) -> Array:
-    """rho of the errors of one landmark for the lags between `LAGS`, NaN where there are too few pairs; see `excess`.
+    """rho of the errors of one landmark for the lags between `LAGS`, NaN where there are too few pairs.
 
     The numbers of a sighting count together, each by how much of its residuals is the sensor's own noise.
 
