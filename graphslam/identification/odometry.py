@@ -299,3 +299,68 @@ def add_at(total: Array, rows: np.ndarray, values: Array) -> None:
     places = rows[:, None] * width + np.arange(width)
     # several times as fast as `np.add.at`
     total += np.bincount(places.ravel(), values.ravel(), total.size).reshape(total.shape)
+
+
+#: motions with so many times the variance of others are left out
+UNUSUAL = 1e3
+#: the fewest motions between scans that say something. Their errors are clipped to this many times their median;
+#: successive ones cancel each other where their correlation is below the next number and below zero by so many standard
+#: errors, and their variance is not below the last part of the models'
+FEWEST_MOTIONS, MEDIANS, CANCEL, SURELY, SMALL = 20, 4.5, -0.2, 3.0, 0.25
+#: the least part of the variance of motions that is their own
+LEAST_OWN = 0.03
+
+
+@dataclass(frozen=True)
+class CommonErrors:
+    """The errors that all sightings of a scan have in common.
+
+    Attributes:
+        covariance: C (3, 3), in the robot's axes.
+        own: (3,) the part of the variance of the motions along each axis that is not due to these errors.
+    """
+
+    covariance: Array
+    own: Array
+
+
+def common_errors(first: np.ndarray, second: np.ndarray, errors: Array, covariances: Array) -> CommonErrors | None:
+    """The errors of whole scans, where a drive surely shows some.
+
+    An error b_t of all sightings of a scan moves the estimate of that pose: it makes one motion too large and the next one
+    too small by as much, so that
+
+        E[e_t e_(t+1)'] = -E[b_t b_t'] = -C,
+
+    whereas the errors of odometry are independent, and what a solution leaves of these is smooth. Errors of successive
+    motions must surely cancel each other in one axis; the others count from the same correlation on.
+
+    Args:
+        first, second: (E,) the poses that motions join, in the order of time.
+        errors: e (E, 3) of the motions at the solution, in the axes of the robot.
+        covariances: (E, 3, 3) by the noise model.
+    """
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    # of motions between two drives next to nothing is known
+    usual = np.all(variances <= UNUSUAL * np.quantile(variances, 0.9, axis=0), axis=1)
+    joined = (second[:-1] == first[1:]) & usual[:-1] & usual[1:]
+    # inexact times make motions short, and their errors as large as those of others
+    deviations = np.sqrt(np.maximum(variances, np.median(variances, axis=0)))
+    z = errors / deviations
+    far = MEDIANS * np.median(np.abs(z), axis=0)
+    z = np.clip(z, -far, far)
+    z = np.where(usual[:, None], z - z[usual].mean(axis=0), 0.0)
+    count, squares = np.count_nonzero(joined), np.sum(z**2, axis=0)
+    if count < FEWEST_MOTIONS or not squares.all():
+        return None
+    correlations = np.sum((z[:-1] * z[1:])[joined], axis=0) / squares
+    # errors much smaller than the models of the odometry are those of single sightings, which covariances have already
+    size = squares / np.count_nonzero(usual)
+    if not np.any((size > SMALL) & (correlations < min(CANCEL, -SURELY / count**0.5))):
+        return None
+    cancel = (size > SMALL) & (correlations < CANCEL)
+    e = np.where(cancel, z * deviations, 0.0)
+    C = -(e[:-1][joined].T @ e[1:][joined]) / count
+    values, axes = np.linalg.eigh((C + C.T) / 2)
+    own = np.where(cancel, np.clip((1 + 2 * correlations) * np.minimum(size, 1.0), LEAST_OWN, 1.0), 1.0)
+    return CommonErrors((axes * np.maximum(values, 0.0)) @ axes.T, own)

@@ -26,10 +26,10 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .corrections import corrected_log, honest_variances, without_biases
 from .declared import KINDS, PLACE, ParameterEstimate
-from .odometry import NOISE, sighting_times
+from .odometry import NOISE, common_errors, sighting_times
 from .restricted_likelihood import solved_with
 from .sensor_errors import Lens, Turn, turned_back, undistorted
-from .sighting_errors import LAGS, Ids, Predictions, RangeErrors, common_errors, evened
+from .sighting_errors import LAGS, Ids, Predictions, RangeErrors, evened
 from .slips import Slip, Uneven, levelled, with_slip
 from .unknowns import DEGREES_SIGHTINGS, HELD, OF_GAUSSIAN_MOTIONS, PRIORS, Unknowns
 
@@ -261,7 +261,8 @@ class RobotEstimate(Systematic):
         p = self.parameters
         informed = [name for name in p.names if p.deviations[name] < MIN_INFORMATION * p.priors[name][1]]
         if informed:
-            lines.append(f"biases estimated from this log{' in its map' * self.in_map}: {p.sentence_of(informed)}")
+            what = "biases estimated from this log in its map" if self.in_map else "biases estimated from this log"
+            lines.append(f"{what}: {p.sentence_of(informed)}")
         if uninformed := [name for name in p.names if name not in informed]:
             lines.append(f"the log says little about {', '.join(uninformed)}: {p.sentence_of(uninformed)}")
         return (*lines, *self.remarks)
@@ -323,7 +324,7 @@ class RobotEstimate(Systematic):
             )
         if self.ids.share > MANY_MISREAD:
             lines.append(
-                f"{self.ids.share:.0%} of the ids contradict the other sightings; is the column of the ids right, and did "
+                f"of the ids {self.ids.share:.0%} contradict the other sightings; is the column of the ids right, and did "
                 "the odometry neither slip nor jump?"
             )
         if (count := np.count_nonzero(self.ids.identified)) < FEW:
@@ -378,6 +379,8 @@ class RobotEstimate(Systematic):
             lines.append(f"{nameless} of {count} sightings have no id and were not used for the estimate")
         if (contradicting := self.ids.sentence) is not None:
             lines.append(contradicting)
+        if self.ids.sentence_on_moved is not None:
+            lines.append(self.ids.sentence_on_moved)
         if self.inflation > 1:
             span = LAGS[int(np.count_nonzero(self.correlations))]
             lines.append(

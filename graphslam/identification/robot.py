@@ -56,8 +56,8 @@ from .sighting_errors import (
     RangeErrors,
     checked_ids,
     correlations,
+    errors_last,
     evened,
-    excess,
     inflation,
     smoothed,
 )
@@ -301,7 +301,8 @@ def with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel) -> Log:
             f"{ids.share:.0%} of the sightings contradict their id by this noise, more than sensors misread; is it the noise "
             "of this robot?"
         )
-    notes = tuple(slip.sentence(log) for slip in slips) + ((ids.sentence,) if ids.sentence is not None else ())
+    of_ids = (each for each in (ids.sentence, ids.sentence_on_moved) if each is not None)
+    notes = (*(slip.sentence(log) for slip in slips), *of_ids)
     if not notes:
         return log
     return ids.correct(log).replace(notes=(*log.notes, *notes), control_variances=drive.control_variances)
@@ -411,16 +412,14 @@ def _everywhere(fitted: Unknowns, log: Log) -> Unknowns:
 def _correlations(log: Log, sparse: Log, used: np.ndarray, fitted: Unknowns, rng: np.random.Generator) -> np.ndarray:
     """The `smoothed` correlations (B,) of errors, from the solution of few sightings ``sparse``, (M,) bool ``used``.
 
-    All are zero where no `excess` is significant.
+    All are zero where not even all sightings show that `errors_last`.
     """
     part = _beginning(log, MOST_CORRELATED)
     # with numbers of its own, so that it changes none of the others
-    more = excess(solved_with(fitted, part, part.landmarks, (2, 1)), rng.spawn(1)[0])
-    if more is None:
+    if not errors_last(solved_with(fitted, part, part.landmarks, (2, 1)), rng.spawn(1)[0]):
         return np.zeros(len(LAGS) - 1)
     whole = _everywhere(fitted, sparse.at_steps(np.arange(part.num_poses)))
-    # where errors last, both are too small, because either solution follows them
-    return smoothed(np.fmax(more, correlations(part, whole, used[: len(part.steps)], rng)))
+    return smoothed(correlations(part, whole, used[: len(part.steps)], rng))
 
 
 def _is_exact(

@@ -10,13 +10,14 @@ the solution has not used, because it follows those that it has used.
 
 Ranges that are off for single landmarks (`RangeErrors`) are found in `sensor_errors`.
 
-Errors of scans: a sensor that shakes, or inexact times, give all sightings of one scan the same error (`common_errors`).
+Errors of scans: a sensor that shakes, or inexact times, give all sightings of one scan the same error, see
+`odometry.common_errors`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -45,7 +46,7 @@ LAGS = np.array([0.0, 0.15, 0.4, 1.0, 2.5, 6.0, 15.0, 40.0])
 ROUNDING = 1e-6
 #: errors correlated by less than this count as independent, and correlations of fewer pairs than this are not computed
 INDEPENDENT, FEWEST = 0.1, 20
-#: errors are correlated where the `excess` of one of this number of the shortest lags is above the second number of its
+#: errors are correlated where residuals are, at one of this number of the shortest lags, by more than the second number of
 #: standard deviations
 SHORT, SIGNIFICANT = 5, 4.0
 #: residuals are clipped to this [standard deviations], and ranges beyond are far too long or too short
@@ -53,14 +54,6 @@ FAR = 3.0
 #: bearings within this fit [standard deviations]. Long ranges are reflections where their excess over short ones is above so
 #: many of its standard errors, and above this part of all
 FITTING, ONE_SIDED, FEW_REFLECTED = 2.0, 5.0, 0.01
-#: motions with so many times the variance of others are left out
-UNUSUAL = 1e3
-#: the fewest motions between scans that say something. Their errors are clipped to this many times their median;
-#: successive ones cancel each other where their correlation is below the next number and below zero by so many standard
-#: errors, and their variance is not below the last part of the models'
-FEWEST_MOTIONS, MEDIANS, CANCEL, SURELY, SMALL = 20, 4.5, -0.2, 3.0, 0.25
-#: the least part of the variance of motions that is their own
-LEAST_OWN = 0.03
 #: the kinds of errors of ranges; errors that change by less than this part of their standard errors are settled; a range is
 #: corrected by this factor at most; and how many characters of a note name landmarks
 SCALE, OFFSET = "scale", "offset"
@@ -107,6 +100,10 @@ class Predictions:
         return squares, -0.5 * (squares + np.linalg.slogdet(2 * np.pi * covariances)[1]), single
 
 
+#: the least gain of the log likelihood by a part of the sightings with a rate of contradictions of its own. A landmark was
+#: moved where the gain is above the second number (22 by lasting errors of MR.CLAM) and the rate above the third, perhaps so
+#: many seconds earlier or later, and the robot was where more than the last part of the landmarks seem to be
+BURST, MOVED, ELSEWHERE, FOLLOWED, MOST_MOVED = 12.5, 25.0, 0.35, 10.0, 0.4
 #: an id that so many sightings have which fit no landmark, and a quarter of these, is named: other objects may have it
 FEWEST_DOUBLED = 10
 
@@ -120,6 +117,7 @@ class Ids:
         changed, dropped: (M,) bool: those, and the sightings that fit no landmark.
         identified: (M,) bool, the sightings that have an id; the others are neither.
         by_range: of sightings whose bearing fits, how many ranges are far too long, far too short, and neither.
+        moved: {an id that is not in the log: (that of the landmark, when it was moved [s] since the first pose)}.
     """
 
     landmarks: np.ndarray
@@ -127,6 +125,7 @@ class Ids:
     dropped: np.ndarray
     identified: np.ndarray
     by_range: tuple[int, int, int] = (0, 0, 0)
+    moved: Mapping[int, tuple[int, float]] = field(default_factory=dict)
 
     @property
     def share(self) -> float:
@@ -139,12 +138,22 @@ class Ids:
         changed, dropped, count = (int(each.sum()) for each in (self.changed, self.dropped, self.identified))
         if changed + dropped == 0:
             return None
-        doubled, times = np.unique(self.landmarks[self.dropped], return_counts=True)
-        doubled = doubled[times >= max(FEWEST_DOUBLED, dropped / 4)]
+        doubled = _doubled(self.landmarks, self.dropped)
         several = f"; several objects may have the id {named(doubled)}" if len(doubled) else ""
         return (
             f"{changed + dropped} of {count} sightings ({self.share:.1%}) contradict their id: {changed} got the id of the "
             f"landmark that fits, {dropped} fit none and were left out{several}"
+        )
+
+    @property
+    def sentence_on_moved(self) -> str | None:
+        """Which landmarks were moved, for the notes of an estimate; None where none was."""
+        if not self.moved:
+            return None
+        each = named((f"{old} at {t:.0f} s ({new})" for new, (old, t) in self.moved.items()), MOST_NAMED)
+        return (
+            "landmarks are in other places before and after a moment, as if somebody had moved them (landmark, seconds after "
+            f"the start, and a further id for its sightings on one side): {each}"
         )
 
     @property
@@ -164,7 +173,7 @@ class Ids:
         identified = landmarks != UNIDENTIFIED
         whole, changed, dropped = landmarks.copy(), np.zeros_like(identified), np.zeros_like(identified)
         whole[identified], changed[identified], dropped[identified] = self.landmarks, self.changed, self.dropped
-        return Ids(whole, changed, dropped, identified, self.by_range)
+        return replace(self, landmarks=whole, changed=changed, dropped=dropped, identified=identified)
 
     def correct(self, log: Log) -> Log:
         """The log with these ids, without the sightings that fit no landmark."""
@@ -190,13 +199,12 @@ def checked_ids(log: Log, unknowns: Unknowns, alone: np.ndarray, rng: np.random.
     own, density = np.full(len(landmarks), np.inf), np.full(len(landmarks), -np.inf)
     known = np.flatnonzero(np.isin(landmarks, ids))
     own[known], density[known], single = predictions.distances(log, known, np.searchsorted(ids, landmarks[known]))
-    by_range = _by_range(single)
     unlikely = _unlikely(log, np.flatnonzero(alone), density)
     own[unlikely] = UNLIKELY
     supported = np.isin(landmarks, ids[strong])
     tried = np.flatnonzero((own > CONTRADICTS) | ~supported)
     if len(tried) == 0 or len(strong) == 0:
-        return Ids(landmarks, changed, dropped, np.ones_like(dropped), by_range)
+        return Ids(landmarks, changed, dropped, np.ones_like(dropped), _by_range(single))
     each = [predictions.distances(log, tried, np.full(len(tried), j)) for j in strong.tolist()]
     others, densities, _ = (np.stack(values) for values in zip(*each))
     # an id that is more probably wrong than right does not come back
@@ -211,7 +219,53 @@ def checked_ids(log: Log, unknowns: Unknowns, alone: np.ndarray, rng: np.random.
     landmarks[tried[fits]] = ids[strong[best[fits]]]
     changed[tried[fits]] = True
     dropped[tried[~fits]] = np.isfinite(own[tried[~fits]]) & (own[tried[~fits]] > CONTRADICTS)
-    return Ids(landmarks, changed, dropped, np.ones_like(dropped), by_range)
+    parts = _moved(log, landmarks, dropped, len(ids))
+    for new, (rows, (old, moment)) in parts.items():
+        # poses of a robot that saw it being moved followed it for a while
+        dropped |= (landmarks == old) & (np.abs(sighting_times(log) - moment) < FOLLOWED)
+        landmarks[rows], dropped[rows] = new, False
+    in_place = ~np.isin(
+        log.landmarks[known], np.append(_doubled(landmarks, dropped), [old for _, (old, _) in parts.values()])
+    )
+    moved = {new: moment for new, (_, moment) in parts.items()}
+    return Ids(landmarks, changed, dropped, np.ones_like(dropped), _by_range(single[in_place]), moved)
+
+
+def _doubled(landmarks: np.ndarray, dropped: np.ndarray) -> np.ndarray:
+    """The ids that several objects may have, because many of the sightings that were left out have them."""
+    doubled, times = np.unique(landmarks[dropped], return_counts=True)
+    return doubled[times >= max(FEWEST_DOUBLED, dropped.sum() / 4)]
+
+
+def _moved(
+    log: Log, landmarks: np.ndarray, dropped: np.ndarray, count: int
+) -> dict[int, tuple[np.ndarray, tuple[int, float]]]:
+    """{new id: (rows of the sightings of a landmark on one side of a moment, (its id, the moment [s] since the first pose))}.
+
+    These contradict the place of the landmark, and those on the other side do not. Right sightings lose little by an id of
+    their own. Where many of all ``count`` landmarks seem to be elsewhere, it is the robot that was moved.
+    """
+    times, found = sighting_times(log), {}
+    new = int(landmarks.max()) + 1
+    for id in np.unique(landmarks[dropped]).tolist():
+        rows = np.flatnonzero(landmarks == id)
+        k, n = np.cumsum(dropped[rows]), np.arange(1, len(rows) + 1)
+        gain = of_rate(k, n) + of_rate(k[-1] - k, n[-1] - n) - of_rate(k[-1:], n[-1:])
+        at = int(np.argmax(gain))
+        if gain[at] < MOVED:
+            continue
+        side = max(rows[: at + 1], rows[at + 1 :], key=lambda part: dropped[part].mean())
+        wrong = dropped[side]
+        if wrong.sum() >= FEWEST_DOUBLED and wrong.mean() > ELSEWHERE and new < np.iinfo(np.int64).max:
+            found[new] = side, (id, float(times[rows[at : at + 2]].mean()))
+            new += 1
+    return found if len(found) <= MOST_MOVED * count else {}
+
+
+def of_rate(k: Array, n: Array) -> Array:
+    """The largest log likelihood k log(k/n) + (n - k) log(1 - k/n) of k of n events, both (K,)."""
+    rate = np.clip(k / np.maximum(n, 1), 1e-12, 1 - 1e-12)
+    return np.asarray(k * np.log(rate) + (n - k) * np.log1p(-rate))
 
 
 def _by_range(single: Array) -> tuple[int, int, int]:
@@ -265,8 +319,8 @@ def _products(values: Array, landmarks: np.ndarray, t: Array) -> Array:
     return total / np.where(count < FEWEST, np.nan, count)[:, None, None]
 
 
-def excess(every: Unknowns, rng: np.random.Generator) -> Array | None:
-    """By how much residuals of one landmark are more correlated than independent errors make them, for the lags of `LAGS`.
+def errors_last(every: Unknowns, rng: np.random.Generator) -> bool:
+    """Whether residuals of one landmark are significantly more correlated in time than those of independent errors.
 
     Independent errors w have correlated residuals r = w - J Omega^-1 J' W w, because nodes and parameters are fitted to them.
     How much, and how much that varies between drives, comes from samples of r. With all sightings the fitted part is small,
@@ -274,9 +328,6 @@ def excess(every: Unknowns, rng: np.random.Generator) -> Array | None:
 
     Args:
         every: solved with all sightings, and with the noise of few that are far apart.
-
-    Returns:
-        The differences (B,), NaN where there are too few pairs; None where none is significant.
     """
     linear = every.linearized()
     sightings, (nodes, values, errors) = linear.edges[1], linear.drawn(SAMPLES, rng)
@@ -286,17 +337,17 @@ def excess(every: Unknowns, rng: np.random.Generator) -> Array | None:
     squares = np.mean(e**2, axis=0)
     if not squares.all():
         # sightings that are all alike
-        return None
+        return False
     order, t = np.argsort(every.seen, kind="stable"), sighting_times(every.log)[every.used]
     products = _products((e / np.sqrt(squares))[order], every.seen[order], t[order])
     rho, drawn = np.split(products.mean(axis=1), [1], axis=1)
-    more = rho[:, 0] - drawn.mean(axis=1)
-    significant = more > SIGNIFICANT * drawn.std(axis=1, ddof=1)
-    return more if significant[:SHORT].any() else None
+    # too few pairs are NaN, and so is their comparison false
+    significant = rho[:, 0] - drawn.mean(axis=1) > SIGNIFICANT * drawn.std(axis=1, ddof=1)
+    return bool(significant[:SHORT].any())
 
 
 def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.Generator) -> Array:
-    """rho of the errors of one landmark for the lags between `LAGS`, NaN where there are too few pairs; see `excess`.
+    """rho of the errors of one landmark for the lags between `LAGS`, NaN where there are too few pairs.
 
     The numbers of a sighting count together, each by how much of its residuals is the sensor's own noise.
 
@@ -346,61 +397,6 @@ def inflation(log: Log, rho: Array) -> float:
         within = np.array([np.searchsorted(own, own + lag + ROUNDING) for lag in LAGS])
         neighbours += 2 * np.diff(within, axis=0).sum(axis=1)
     return 1.0 + float(rho @ neighbours) / max(len(t), 1)
-
-
-@dataclass(frozen=True)
-class CommonErrors:
-    """The errors that all sightings of a scan have in common.
-
-    Attributes:
-        covariance: C (3, 3), in the robot's axes.
-        own: (3,) the part of the variance of the motions along each axis that is not due to these errors.
-    """
-
-    covariance: Array
-    own: Array
-
-
-def common_errors(first: np.ndarray, second: np.ndarray, errors: Array, covariances: Array) -> CommonErrors | None:
-    """The errors of whole scans, where a drive surely shows some.
-
-    An error b_t of all sightings of a scan moves the estimate of that pose: it makes one motion too large and the next one
-    too small by as much, so that
-
-        E[e_t e_(t+1)'] = -E[b_t b_t'] = -C,
-
-    whereas the errors of odometry are independent, and what a solution leaves of these is smooth. Errors of successive
-    motions must surely cancel each other in one axis; the others count from the same correlation on.
-
-    Args:
-        first, second: (E,) the poses that motions join, in the order of time.
-        errors: e (E, 3) of the motions at the solution, in the axes of the robot.
-        covariances: (E, 3, 3) by the noise model.
-    """
-    variances = np.diagonal(covariances, axis1=1, axis2=2)
-    # of motions between two drives next to nothing is known
-    usual = np.all(variances <= UNUSUAL * np.quantile(variances, 0.9, axis=0), axis=1)
-    joined = (second[:-1] == first[1:]) & usual[:-1] & usual[1:]
-    # inexact times make motions short, and their errors as large as those of others
-    deviations = np.sqrt(np.maximum(variances, np.median(variances, axis=0)))
-    z = errors / deviations
-    far = MEDIANS * np.median(np.abs(z), axis=0)
-    z = np.clip(z, -far, far)
-    z = np.where(usual[:, None], z - z[usual].mean(axis=0), 0.0)
-    count, squares = np.count_nonzero(joined), np.sum(z**2, axis=0)
-    if count < FEWEST_MOTIONS or not squares.all():
-        return None
-    correlations = np.sum((z[:-1] * z[1:])[joined], axis=0) / squares
-    # errors much smaller than the models of the odometry are those of single sightings, which covariances have already
-    size = squares / np.count_nonzero(usual)
-    if not np.any((size > SMALL) & (correlations < min(CANCEL, -SURELY / count**0.5))):
-        return None
-    cancel = (size > SMALL) & (correlations < CANCEL)
-    e = np.where(cancel, z * deviations, 0.0)
-    C = -(e[:-1][joined].T @ e[1:][joined]) / count
-    values, axes = np.linalg.eigh((C + C.T) / 2)
-    own = np.where(cancel, np.clip((1 + 2 * correlations) * np.minimum(size, 1.0), LEAST_OWN, 1.0), 1.0)
-    return CommonErrors((axes * np.maximum(values, 0.0)) @ axes.T, own)
 
 
 @dataclass(frozen=True)

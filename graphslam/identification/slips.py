@@ -43,6 +43,7 @@ from ..se2 import Array, perpendicular
 from .corrections import averaged_controls
 from .odometry import Edges, Odometry
 from .restricted_likelihood import DETERMINED, each_alone, gain_over, refitted, scores
+from .sighting_errors import BURST, CONTRADICTS, of_rate
 from .unknowns import Unknowns
 
 Problem = TypeVar("Problem")
@@ -356,11 +357,6 @@ def _differences(solved: Unknowns) -> tuple[Array, Array, Array]:
     return each_alone(*scores(solved, 0, -solved.by_differences()))
 
 
-#: a squared Mahalanobis distance beyond which a sighting contradicts its landmark; and the least gain of the log likelihood
-#: by a stretch with a rate of such sightings of its own
-CONTRADICTS, BURST = 30.0, 12.5
-
-
 def contradicted(solved: Unknowns) -> tuple[float, float] | None:
     """The begin and the end [s] of the stretch in which sightings contradict much more often than elsewhere, if any.
 
@@ -379,18 +375,12 @@ def contradicted(solved: Unknowns) -> tuple[float, float] | None:
     a, b = np.triu_indices(count + 1, 1)
     a, b = (each[b - a <= max(1, LONGEST * count)] for each in (a, b))
     n, k = N[b] - N[a], K[b] - K[a]
-    gain = _of_rate(k, n) + _of_rate(K[-1] - k, N[-1] - n) - _of_rate(K[-1:], N[-1:])
+    gain = of_rate(k, n) + of_rate(K[-1] - k, N[-1] - n) - of_rate(K[-1:], N[-1:])
     gain[k * N[-1] <= n * K[-1]] = 0.0
     best = int(np.argmax(gain))
     if gain[best] < BURST:
         return None
     return float(limits[max(a[best] - 1, 0)]), float(limits[min(b[best] + 1, count)])
-
-
-def _of_rate(k: Array, n: Array) -> Array:
-    """The largest log likelihood l(k, n) of k of n events (K,)."""
-    rate = np.clip(k / np.maximum(n, 1), 1e-12, 1 - 1e-12)
-    return k * np.log(rate) + (n - k) * np.log1p(-rate)
 
 
 def without_contradicted(
@@ -402,23 +392,32 @@ def without_contradicted(
     """
     found: tuple[Slip, ...] = ()
     while len(found) < most and (stretch := contradicted(problem)) is not None:
-        assert log.controls is not None
-        largest = np.abs(log.controls).max(axis=0)
-        wide = [Slip(*stretch, column, float(largest[column]), 0.0) for column in (0, 1) if largest[column] > 0]
-        trials = [again(problem, with_slip(log, slip)) for slip in wide]
-        same = again(problem, log)
-        gains = [gain_over(trial, same) for trial in trials]
-        best = int(np.argmax(gains))
-        if gains[best] < GAINED:
-            break
         begin, end = stretch
-        times = trials[best].log.times - trials[best].log.times[0]
-        inside = (times[1:] > begin) & (times[:-1] < end)
-        e = trials[best].motions().residuals[inside].sum(axis=0)
-        size = np.hypot(*e[:2]) if wide[best].column == 0 else abs(e[2])
-        slip = replace(wide[best], rate=float(size / (end - begin)), z=float((2 * gains[best]) ** 0.5))
-        log = with_slip(log, slip)
-        problem, found = again(trials[best], log), (*found, slip)
+        if end - begin + sum(slip.end - slip.begin for slip in found) > WRONG * log.control_times[-1]:
+            break
+        assert log.controls is not None
+        largest = np.abs(log.controls).max(axis=0).tolist()
+        wide = [Slip(begin, end, column, size, 0.0) for column, size in enumerate(largest) if size > 0]
+        if not wide:
+            break
+        try:
+            same = again(problem, log)
+            trials = [(again(problem, with_slip(log, slip)), slip) for slip in wide]
+            gain, trial, slip = max(
+                ((gain_over(each, same), each, slip) for each, slip in trials), key=lambda each: each[0]
+            )
+            if gain < GAINED:
+                break
+            assert trial.log.times is not None
+            times = trial.log.times - trial.log.times[0]
+            inside = (times[1:] > begin) & (times[:-1] < end)
+            e = trial.motions().residuals[inside].sum(axis=0)
+            size = np.hypot(*e[:2]) if slip.column == 0 else abs(e[2])
+            slip = replace(slip, rate=float(size / (end - begin)), z=float((2 * gain) ** 0.5))
+            solved = again(trial, with_slip(log, slip))
+        except (GraphError, np.linalg.LinAlgError):
+            break
+        problem, log, found = solved, with_slip(log, slip), (*found, slip)
     return problem, log, found
 
 

@@ -13,14 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..errors import LogError, named
-from ..errors.checks import (
-    FARTHEST,
-    FASTEST,
-    FOUR_TURNS,
-    QUICKEST,
-    WHOLE_TURN,
-    first,
-)
+from ..errors.checks import FARTHEST, FASTEST, FOUR_TURNS, QUICKEST, WHOLE_TURN, first
 from ..se2 import Array, wrap
 from . import cells
 from .geometry import (
@@ -254,9 +247,9 @@ class Reader:
             beside = self.found["nanosec"].column
             more = cells.nanoseconds(self.table, beside, part_unit(self.table, beside), self.kind)
             if (k := first((more < 0) | (more >= cells.UNITS["s"]))) is not None:
-                what = f"{self.table.title(beside)} is {self.table.words(beside)[k]}, and no part of a second beside seconds"
-                advice = f"if it is the whole time, state columns='{self.kind}.t={beside + 1}'"
-                raise self.table.error(k, f"{what}: {advice}")
+                what = f"{self.table.title(beside)} is {self.table.words(beside)[k]}, and no part of a second beside "
+                what += f"seconds: if it is the whole time, state columns='{self.kind}.t={beside + 1}'"
+                raise self.table.error(k, what)
             ns = cells.added(self.table, column, ns, more, self.kind)
         if (unit := self.options.unit("time", self.kind)) is not None and cells.is_dated(self.table, column):
             note = f"{self.table.title(column)} holds dates or durations: the stated unit {unit} is not used"

@@ -49,6 +49,8 @@ MOST, ROUNDS = 6000, 12
 #: the quantile of chi-square above which the map contradicts the biases that a log shows. Of 24 drives in the right map the
 #: largest number was 7.3 for nine biases; in maps of 1.02 times the size that no other test had found, 11 to 38
 SURELY = 0.95
+#: what Omega's diagonal is raised by where pieces of the drive are free
+FREE = 1e-9
 
 
 def estimate_robot(
@@ -105,8 +107,10 @@ def _in_map(found: RobotEstimate, log: Log, known: LandmarkMap) -> RobotEstimate
     """
     from scipy.special import gammaincinv
 
+    # positions may be in another frame than the map
+    sighted = found.log.replace(partial_sightings=None, relations=None, positions=None)
     try:
-        graph = Graph.from_log(found.log, motion=found.motion, sensor=found.sensor, map=known, edges="landmark+motion")
+        graph = Graph.from_log(sighted, motion=found.motion, sensor=found.sensor, map=known, edges="landmark+motion")
         alone = solve(graph)
         held = None if alone.graph is None else alone.graph.held
         if alone.graph is None or held is None or not alone.converged:
@@ -120,7 +124,7 @@ def _in_map(found: RobotEstimate, log: Log, known: LandmarkMap) -> RobotEstimate
     except (GraphError, np.linalg.LinAlgError):
         return found
     of_log = dict(zip(found.parameters.names, found.parameters.values.tolist()))
-    both = one_after_the_other(_corrections(of_log), _corrections(dict(zip(p.names, p.values.tolist()))))
+    both = one_after_the_other(of_log, dict(zip(p.names, p.values.tolist())))
     values = np.array([p[name] if name in PLACE else both[name] for name in p.names])
     if away @ np.linalg.solve(covariance, away) > 2 * gammaincinv(len(away) / 2, SURELY):
         apart = np.abs(away) / np.sqrt(np.diag(covariance))
@@ -138,10 +142,6 @@ def _in_map(found: RobotEstimate, log: Log, known: LandmarkMap) -> RobotEstimate
     return replace(found, log=found.corrected(found.ids.correct(log)))
 
 
-def _corrections(values: Mapping[str, float]) -> dict[str, float]:
-    return {name: value for name, value in values.items() if name not in PLACE}
-
-
 def _without_map(solution: Solution) -> tuple[Array, Array]:
     """How the log alone would change the parameters of a solution in a map, (K,), and their covariance without it (K, K).
 
@@ -156,7 +156,11 @@ def _without_map(solution: Solution) -> tuple[Array, Array]:
     joint = JointGraph(replace(graph, families=families, fixed=nodes, map=None))
     state = joint.joined(solution.state, graph.estimated.values)
     joint.linearize(state)
-    joint.factorize()
+    try:
+        joint.factorize()
+    except GraphError:
+        # where the robot was lifted, the map alone holds what follows, whose place tells nothing of the parameters
+        joint.factorize(FREE)
     return joint.parted(joint.solve())[1], joint.parameter_covariance
 
 

@@ -67,6 +67,10 @@ from graphslam.calibration import Calibration
         "sightings and 3.1 for motions. Perhaps the robot slips, or the sightings of several landmarks are wrong together",
         "b: positions are metres east and north of latitude 48.0, longitude 11.0 degrees (WGS 84), the first fix of an "
         "earlier log",
+        "Not recommended: b: the log has only 98 sightings with ids, which tell the noise roughly: the trajectory may be "
+        "several times less accurate than with the true noise, which motion and sensor models, or --noise FILE, give",
+        "of the ids 25% contradict the other sightings; is the column of the ids right, and did the odometry neither slip "
+        "nor jump?",
         "graph did not converge: max_iterations = 100 reached (started rotation-first, gauss-newton)",
         "graph did not converge: stuck: no step lowers the cost 1553.27, however short",
         "graph did not converge: the last step lowered J by less than 1e-09 of it (started rotation-first, gauss-newton; J "

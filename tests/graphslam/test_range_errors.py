@@ -55,6 +55,7 @@ def test_tags_of_wrong_sizes_are_found_and_corrected(seed, monkeypatch):
     assert ate(log.true_poses, solution.poses) < 1.3 * ate(log.true_poses, solve(Graph.from_log(healthy.log)).poses)
     # as it was
     monkeypatch.setattr("graphslam.identification.robot.range_errors_of", lambda *_: None)
+    monkeypatch.setattr("graphslam.identification.sighting_errors._moved", lambda *_: {})
     wrong = solve(Graph.from_log(estimate_robot(log).log))
     assert ate(log.true_poses, wrong.poses) > 1.4 * ate(log.true_poses, solution.poses)
 
@@ -180,3 +181,22 @@ def test_a_search_that_fails_says_nothing(monkeypatch):
 def test_all_sentences_are_translated(kind, spread):
     for sentence in RangeErrors(kind, {5: (0.083, 0.004), 7: (-0.05, 0.01)}, spread, alike=True).sentences:
         assert not re.search("[a-z]{3,}", translated(sentence, "ja"))
+
+
+def test_a_landmark_that_is_moved_has_another_id_from_then_on():
+    """It takes the place of another one half-way, and nobody sees the other one before or this one after that."""
+    right, _ = replace(Drive.random(2003), duration=150.0, misread=0.0, clutter=0.0).simulate()
+    times = right.times[right.steps] - right.times[0]
+    later, seen = times > 75.0, right.landmark_ids
+    fewest = [min(np.sum((right.landmarks == id) & part) for part in (later, ~later)) for id in seen]
+    other, id = seen[np.argsort(fewest)[-2:]]
+    gone = ((right.landmarks == id) & later) | ((right.landmarks == other) & ~later)
+    log = right.with_sightings(~gone, landmarks=np.where(right.landmarks == other, id, right.landmarks)[~gone])
+    robot = estimate_robot(log)
+    ((new, (old, moment)),) = robot.ids.moved.items()
+    assert old == id and new == seen.max() + 1 and moment == pytest.approx(75.0, abs=10.0)
+    assert {new, old} < set(robot.log.landmark_ids.tolist()) and robot.ids.share < 0.05
+    (note,) = (each for each in robot.sentences if "as if somebody had moved them" in each)
+    assert f": {id} at " in note and "動かされた" in translated(note, "ja")
+    error = ate(log.true_poses, solve(Graph.from_log(robot.log)).poses)
+    assert error < 1.3 * ate(right.true_poses, solve(Graph.from_log(right)).poses)
