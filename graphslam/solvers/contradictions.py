@@ -46,7 +46,7 @@ from ..edges import (
 from ..errors import GraphError
 from ..graph import Graph
 from ..identification.odometry import NOTHING, STILL, Edges
-from ..identification.slips import SLIPPED, Found, Motions, largest_slip, without_slips
+from ..identification.slips import SLIPPED_GIVEN, Found, Motions, largest_slip, without_slips
 from ..linear.cholesky import Bordered, FactorizationError
 from ..linear.information import BlockSystem
 from ..log import Log
@@ -366,7 +366,7 @@ def without_slips_of(solution: Solution, again: Callable[[Graph], Solution] | No
     try:
         if again is None or graph.parameters is not None:
             slip, usual = _largest_slip(solution, SUSPECTED)
-            found = slip is not None and slip.z > SLIPPED * max(1.0, usual)
+            found = slip is not None and slip.z > SLIPPED_GIVEN * max(1.0, usual)
             return solution, (slip.sentence(graph.log, corrected=False),) if slip is not None and found else ()
 
         def solved(before: Solution, noisier: Log) -> Solution | None:
