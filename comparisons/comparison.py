@@ -358,7 +358,7 @@ class Noise:
 
 @dataclass(frozen=True, kw_only=True)
 class RunDocument:
-    """The JSON of `slam-compare run` and `report`, comparison.json.
+    """The JSON of `slam-compare run` (comparison.json), `report` and `associate`.
 
     Attributes:
         noise: the noise models `motion` and `sensor` of all estimators.

@@ -32,6 +32,7 @@ from graphslam.se2 import Array
 DOCS = Path(__file__).parent
 #: the class whose object each verb writes
 DOCUMENTS: dict[str, type] = {
+    "associate": RunDocument,
     "report": RunDocument,
     "run": RunDocument,
     "evaluate": EvaluateDocument,

@@ -17,7 +17,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from .logs import backends, calibrate, datasets, evaluate, import_, show, simulate, solvers
 from .output import in_language, language_of_words, sentences
-from .run import animate, consistency, particles, report, run, study, sweep
+from .run import animate, associate, consistency, particles, report, run, study, sweep
 from .verb import Lang, add_verb, epilog_of, list_verb, name_of
 
 
@@ -49,8 +49,8 @@ def _app(
 
 #: the verbs, in the order of the help
 VERBS = (
-    run, report, import_, show, evaluate, solvers, simulate, backends, particles, calibrate, datasets, consistency, sweep,
-    study, animate,
+    run, report, import_, show, associate, evaluate, solvers, simulate, backends, particles, calibrate, datasets, consistency,
+    sweep, study, animate,
 )  # fmt: skip
 
 

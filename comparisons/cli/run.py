@@ -143,6 +143,41 @@ def report(
     output.hint(f"Next: {command('run', log, options=(chosen, options))}")
 
 
+def associate(
+    output: Output,
+    words: Annotated[
+        list[str], argument("[LOG] OUT.npz", "The log (default: the sample log of the package), and the log to write.")
+    ],
+    *,
+    options: declared.RunOptions,
+) -> None:
+    """Find which landmark each sighting of a log without ids is of, and write the log with these ids.
+
+    It is what run does before it solves a graph. Ids that some sightings have are kept.
+
+    Examples:
+        slam-compare associate LOG named.npz
+        slam-compare associate LOG named.npz --association maximum-likelihood --front-end batch --json -
+    """
+    from graphslam import OptionError, save
+
+    from ..options import EstimatorOptions
+    from ..results.files import check_can_write
+
+    log, out = places(words, "a log and a log to write: slam-compare associate LOG OUT.npz")
+    check_can_write(out)
+    outcome = _compared(output, log, EstimatorOptions(estimators=("graph",)), options)
+    found = outcome.results[0].found if outcome.results else None
+    if found is None:
+        have = "all sightings have ids; --association maximum-likelihood finds new ones"
+        raise OptionError(f"{outcome.log.name}: {next((each.reason for each in outcome.skipped), have)}")
+    save(found.log, out)
+    output.show(outcome, brief=True)
+    output.say(f"Wrote {out}.")
+    output.hint(f"Next: {command('run', out)}")
+    output.json(outcome.to_json({"log": out}))
+
+
 def animate(
     output: Output,
     words: Annotated[

@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 import graphslam.log
 from comparisons.cli import app
 from comparisons.studies import solvers
-from graphslam import Log, save, simulate
+from graphslam import Log, load, save, simulate
 
 QUICK = ["--estimators", "dead-reckoning,graph"]
 
@@ -269,3 +269,15 @@ def test_every_verb_is_quiet_and_verbose_on_demand(invoke: Invoke) -> None:
         text = invoke(command.name or command.callback.__name__, "--help").stdout
         assert "--quiet" in text
         assert "--verbose" in text
+
+
+def test_associate_writes_the_log_with_ids(invoke: Invoke, log_file: Path) -> None:
+    refused = invoke("associate", log_file, "named.npz")
+    assert refused.exit_code == 2 and "all sightings have ids" in refused.stderr
+    result = invoke(
+        "associate", log_file, "named.npz", "--association", "maximum-likelihood", "--front-end", "batch", "--json", "-"
+    )
+    found = json.loads(result.stdout)["estimators"][0]["association"]
+    named = load("named.npz")
+    assert named.identified and len(np.unique(named.landmarks)) == found["landmarks"]
+    assert found["precision"] > 0.95 and "Next: slam-compare run named.npz" in result.stderr
