@@ -430,6 +430,7 @@ def without_slips(
     test: Callable[[Problem], Found],
     again: Callable[[Problem, Log], Problem | None],
     gain: Callable[[Problem, Problem], float] | None = None,
+    limit: float = SLIPPED,
 ) -> tuple[Problem, Log, tuple[Slip, ...], Slip | None]:
     """The problem of a log in which the stretches with errors of their own have more noise, these stretches, and another one
     that stays in it, if any.
@@ -437,13 +438,13 @@ def without_slips(
     Args:
         test: the largest slip of a solved problem.
         again: the problem solved with another log; None where that explains too little of what is wrong.
-        gain: the log likelihood of a problem over that of another one, by which stretches above `SUSPECTED` are judged. None
-            where noise is given.
+        gain: the log likelihood of a problem over that of another one, by which stretches above `SUSPECTED` are judged.
+        limit: z of a slip; `SLIPPED_GIVEN` where noise is given.
 
     One stays where its error is beyond all speeds, where the problem has no solution without it, or where it is one too many.
     """
     found: tuple[Slip, ...] = ()
-    first, recorded, limit = problem, log, SLIPPED_GIVEN if gain is None else SLIPPED
+    first, recorded = problem, log
     slip, usual = test(problem)
     while slip is not None and slip.z > (limit if gain is None else SUSPECTED):
         assert log.controls is not None

@@ -46,7 +46,7 @@ from ..edges import (
 from ..errors import GraphError
 from ..graph import Graph
 from ..identification.odometry import NOTHING, STILL, Edges
-from ..identification.slips import SLIPPED_GIVEN, Found, Motions, largest_slip, without_slips
+from ..identification.slips import SLIPPED, SLIPPED_GIVEN, Found, Motions, largest_slip, without_slips
 from ..linear.cholesky import Bordered, FactorizationError
 from ..linear.information import BlockSystem
 from ..log import Log
@@ -366,7 +366,7 @@ def without_slips_of(solution: Solution, again: Callable[[Graph], Solution] | No
     try:
         if again is None or graph.parameters is not None:
             slip, usual = _largest_slip(solution, SUSPECTED)
-            found = slip is not None and slip.z > SLIPPED_GIVEN * max(1.0, usual)
+            found = slip is not None and slip.z > SLIPPED * max(1.0, usual)
             return solution, (slip.sentence(graph.log, corrected=False),) if slip is not None and found else ()
 
         def solved(before: Solution, noisier: Log) -> Solution | None:
@@ -382,8 +382,9 @@ def without_slips_of(solution: Solution, again: Callable[[Graph], Solution] | No
 
         first = solution
         solution, log, slips, left = without_slips(
-            solution, graph.log, lambda each: _largest_slip(each, SUSPECTED if each is first else 0.0), solved
-        )
+            solution, graph.log, lambda each: _largest_slip(each, SUSPECTED if each is first else 0.0), solved,
+            limit=SLIPPED_GIVEN if graph.log.uncertain is None else SLIPPED,
+        )  # fmt: skip
     except (FactorizationError, np.linalg.LinAlgError):
         return solution, ()
     sentences = [slip.sentence(log) for slip in slips]
