@@ -243,7 +243,8 @@ class RobotEstimate(Systematic):
         """What was found, for the notes of a table."""
         if self.basis in (BOOK_NOISE, GIVEN_NOISE):
             taken = f"{self.basis} is taken, because it predicts sightings better than an estimate from this log"
-            return tuple(each for each in (taken, self.left_out.sentence, self.ids.sentence) if each is not None)
+            of_ids = self.ids.sentence, self.ids.sentence_on_moved
+            return tuple(each for each in (taken, self.left_out.sentence, *of_ids) if each is not None)
         values = vars(self.motion) | {n: v for n, v in vars(self.sensor).items() if n not in SensorModel.GEOMETRY}
         noise = ", ".join(
             f"{name} {values[name]:.2g} +- {100 * error:.0f} %" for name, error in self.errors.items() if error < 1

@@ -246,7 +246,8 @@ def _moved(
     their own. Where many of all ``count`` landmarks seem to be elsewhere, it is the robot that was moved.
     """
     times, found = sighting_times(log), {}
-    new = int(landmarks.max()) + 1
+    # landmark 7 becomes 1000007: the next free id may be that of a landmark in the map, in the truth or in another log
+    further = 10 ** max(6, 1 + len(str(np.abs(landmarks).max())))
     for id in np.unique(landmarks[dropped]).tolist():
         rows = np.flatnonzero(landmarks == id)
         k, n = np.cumsum(dropped[rows]), np.arange(1, len(rows) + 1)
@@ -256,9 +257,9 @@ def _moved(
             continue
         side = max(rows[: at + 1], rows[at + 1 :], key=lambda part: dropped[part].mean())
         wrong = dropped[side]
+        new = further + id
         if wrong.sum() >= FEWEST_DOUBLED and wrong.mean() > ELSEWHERE and new < np.iinfo(np.int64).max:
             found[new] = side, (id, float(times[rows[at : at + 2]].mean()))
-            new += 1
     return found if len(found) <= MOST_MOVED * count else {}
 
 

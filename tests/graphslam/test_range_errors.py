@@ -11,6 +11,7 @@ import pytest
 from comparisons.show.language import translated
 from graphslam import Drive, Graph, estimate_robot, solve
 from graphslam.association.associate import known_noise
+from graphslam.identification.result import BOOK_NOISE
 from graphslam.identification.sensor_errors import _spread
 from graphslam.identification.sighting_errors import OFFSET, SCALE, Ids, RangeErrors, evened
 from graphslam.log import UNIDENTIFIED
@@ -194,9 +195,10 @@ def test_a_landmark_that_is_moved_has_another_id_from_then_on():
     log = right.with_sightings(~gone, landmarks=np.where(right.landmarks == other, id, right.landmarks)[~gone])
     robot = estimate_robot(log)
     ((new, (old, moment)),) = robot.ids.moved.items()
-    assert old == id and new == seen.max() + 1 and moment == pytest.approx(75.0, abs=10.0)
+    assert old == id and new == 1_000_000 + id and moment == pytest.approx(75.0, abs=10.0)
     assert {new, old} < set(robot.log.landmark_ids.tolist()) and robot.ids.share < 0.05
     (note,) = (each for each in robot.sentences if "as if somebody had moved them" in each)
     assert f": {id} at " in note and "動かされた" in translated(note, "ja")
+    assert note in replace(robot, basis=BOOK_NOISE).sentences
     error = ate(log.true_poses, solve(Graph.from_log(robot.log)).poses)
     assert error < 1.3 * ate(right.true_poses, solve(Graph.from_log(right)).poses)
