@@ -372,6 +372,10 @@ def find(
                     which = f"say which: columns='{kind}.{role}=NAME'"
                     if table.names[fits[0]] == table.names[fits[1]]:
                         which = f"say which by its number: columns='{kind}.{role}={fits[0] + 1}'"
+                    if role == "nu" and {"left", "right"} <= {word for k in fits for word in names[k][0].split("_")}:
+                        which = (
+                            "are they of two wheels? Make nu = (right + left) / 2 and omega = (right - left) / track"
+                        )
                     raise table.error(None, f"{titles} could both be {role}; {which}")
                 if fits:
                     found[role] = Chosen(fits[0], names[fits[0]][1])

@@ -51,7 +51,7 @@ def test_single_wrong_times_are_left_out_as_before(drive):
 
 
 def test_speeds_of_two_wheels_are_no_speed_of_the_robot(drive):
-    with pytest.raises(FormatError, match="'left_speed' and 'right_speed' could both be nu"):
+    with pytest.raises(FormatError, match=r"'right_speed' could both be nu; .* omega = \(right - left\) / track"):
         load(drive(odometry=text("t,left_speed,right_speed", ODOMETRY)))
 
 
