@@ -78,10 +78,9 @@ def test_wheels_that_read_zero_while_the_robot_moves(seed, monkeypatch):
     )
 
 
-@pytest.mark.parametrize("seed", [1002, pytest.param(1004, marks=pytest.mark.nightly)])
-def test_a_robot_that_is_carried_far_is_said(seed):
-    """Between two parts of a drive somebody carries the robot for 12 and 18 m, of which the odometry knows nothing."""
-    log, _ = replace(Drive.random(seed), duration=200.0).simulate()
+def test_a_robot_that_is_carried_far_is_said():
+    """Between two parts of a drive somebody carries the robot for 12 m, of which the odometry knows nothing."""
+    log, _ = replace(Drive.random(1002), duration=200.0).simulate()
     parts = log.at_steps(np.flatnonzero(log.times < 90)), log.at_steps(np.flatnonzero(log.times > 110))
     carried = end_to_end(*parts).replace(control_variances=None, sessions=())
     # within a second
