@@ -94,29 +94,18 @@ def solve(
         GraphError: the log lacks what is needed, or Omega is singular.
         OptionError: an option has an impossible value.
     """
-    check_is_log(log)
-    checks.check_choice("edges", edges, THRESHOLDS)
+    _check(log, edges, motion_copies, max_iterations)
     log.warn_of_unused("the lectures' program")
     patience = PATIENCE if threshold is None else max_iterations
     threshold = THRESHOLDS[edges] if threshold is None else threshold
     checks.check_not_negative(threshold=threshold)
     d = log.sightings.shape[1] if dimensions is None else dimensions
-    checks.check_count(dimensions=d, motion_copies=motion_copies, max_iterations=max_iterations)
+    checks.check_count(dimensions=d)
     if d not in (2, 3) or d > log.sightings.shape[1]:
         raise OptionError(f"dimensions must be 2 or 3 and not more than the log has, not {quoted(dimensions)}")
-    if motion_copies < 1:
-        raise OptionError(f"motion_copies must be at least 1, not {motion_copies}")
     motion, sensor = log.noise_models(motion, sensor)
-    with_motion = edges == "virtual+motion"
-    if with_motion and log.composite:
-        raise GraphError(f"{log.name} has motions of several controls each, and the lectures' program takes one a step")
     if not sensor.centred:
         raise GraphError("the lectures' program needs the sensor at the robot's pose; this one has an offset")
-    if not log.identified:
-        raise GraphError(f"{log.name} has sightings without landmark ids, and the lectures' program needs them")
-    if with_motion and log.controls is None:
-        raise GraphError(f"{log.name} has no controls for motion edges; use edges='virtual'")
-
     check_magnitudes(log, motion, sensor)
     times, sightings = log.steps.tolist(), log.sightings[:, :d]
     seen: dict[int, list[int]] = {}
@@ -124,6 +113,7 @@ def solve(
         seen.setdefault(j, []).append(k)
     pairs = [(a, b) for of_one in seen.values() for a, b in combinations(of_one, 2) if times[a] != times[b]]
     # without motion edges, poses that saw nothing are removed, but keep their numbers
+    with_motion = edges == "virtual+motion"
     steps = list(range(log.num_poses)) if with_motion else sorted(set(times))
     if not steps or not (pairs or with_motion):
         raise GraphError(f"{log.name} has no landmark that was seen twice, so there are no virtual-motion edges")
@@ -134,23 +124,10 @@ def solve(
     costs: list[float] = []
     converged = drifts = False
     while len(step_norms) < max_iterations and not (converged or drifts):
-        Omega, xi, J = np.zeros((3 * len(steps), 3 * len(steps))), np.zeros(3 * len(steps)), 0.0
-        # the anchor: in Omega only, as in the book
-        Omega[:3, :3] += OMEGA_0
         try:
-            # each sighting belongs to many edges
-            places = [place_of(x[t], z, sensor) for t, z in zip(times, sightings)]
-            for a, b in pairs:
-                e, Omega_e, B1, B2 = difference(places[a], places[b])
-                _add(Omega, xi, row[times[a]], row[times[b]], e, Omega_e, B1, B2)
-                J += float(e @ Omega_e @ e)
-            if with_motion:
-                assert log.controls is not None and log.dt is not None
-                for t, (u, dt) in enumerate(zip(log.controls, log.dt.tolist()), start=1):
-                    e, Omega_e, B1, B2 = motion_edge(x[t - 1], x[t], u, dt, motion)
-                    for _ in range(motion_copies):
-                        _add(Omega, xi, row[t - 1], row[t], e, Omega_e, B1, B2)
-                        J += float(e @ Omega_e @ e)
+            Omega, xi, J = linear_system(
+                x, row, log, sightings, pairs, sensor, motion, motion_copies if with_motion else 0
+            )
             if not step_norms:
                 _check_determined(Omega)
             Delta = np.linalg.solve(Omega, xi)
@@ -178,6 +155,46 @@ def solve(
     return TextbookSolution(
         x, estimated, landmarks, step_norms, costs, len(step_norms), converged, len(pairs), threshold, reason
     )
+
+
+def linear_system(
+    x: Array,
+    row: dict[int, int],
+    log: Log,
+    sightings: Array,
+    pairs: list[tuple[int, int]],
+    sensor: SensorModel,
+    motion: MotionModel,
+    motion_copies: int,
+) -> tuple[Array, Array, float]:
+    """Omega = sum of B' Omega_e B and the anchor, xi = - sum of B' Omega_e e, J = sum of e' Omega_e e, at the poses x.
+
+    Args:
+        x: (T+1, 3).
+        row: {step: its first row in Omega}.
+        log: of the robot, with the controls.
+        sightings: (K, 2 or 3) as they are used.
+        pairs: the sightings of one landmark that make an edge.
+        sensor, motion: noise models.
+        motion_copies: the number of times that each motion edge is counted; 0: there are none.
+    """
+    Omega, xi, J = np.zeros((3 * len(row), 3 * len(row))), np.zeros(3 * len(row)), 0.0
+    # the anchor: in Omega only, as in the book
+    Omega[:3, :3] += OMEGA_0
+    times = log.steps.tolist()
+    # each sighting belongs to many edges
+    places = [place_of(x[t], z, sensor) for t, z in zip(times, sightings)]
+    for a, b in pairs:
+        e, Omega_e, B1, B2 = difference(places[a], places[b])
+        _add(Omega, xi, row[times[a]], row[times[b]], e, Omega_e, B1, B2)
+        J += float(e @ Omega_e @ e)
+    if motion_copies:
+        assert log.controls is not None and log.dt is not None
+        for t, (u, dt) in enumerate(zip(log.controls, log.dt.tolist()), start=1):
+            e, Omega_e, B1, B2 = motion_edge(x[t - 1], x[t], u, dt, motion)
+            _add(Omega, xi, row[t - 1], row[t], e, motion_copies * Omega_e, B1, B2)
+            J += motion_copies * float(e @ Omega_e @ e)
+    return Omega, xi, J
 
 
 def virtual_motion_edge(
@@ -308,6 +325,24 @@ def _add(Omega: Array, xi: Array, i: int, j: int, e: Array, Omega_e: Array, B1: 
         xi[a : a + 3] -= force[at]
         Omega[a : a + 3, i : i + 3] += added[at, :3]
         Omega[a : a + 3, j : j + 3] += added[at, 3:]
+
+
+def _check(log: Log, edges: str, motion_copies: int, max_iterations: int) -> None:
+    """Raise where a log or an option is none that the program takes."""
+    check_is_log(log)
+    checks.check_choice("edges", edges, THRESHOLDS)
+    checks.check_count(motion_copies=motion_copies, max_iterations=max_iterations)
+    if motion_copies < 1:
+        raise OptionError(f"motion_copies must be at least 1, not {motion_copies}")
+    if edges == "virtual+motion":
+        if log.composite:
+            raise GraphError(
+                f"{log.name} has motions of several controls each, and the lectures' program takes one a step"
+            )
+        if log.controls is None:
+            raise GraphError(f"{log.name} has no controls for motion edges; use edges='virtual'")
+    if not log.identified:
+        raise GraphError(f"{log.name} has sightings without landmark ids, and the lectures' program needs them")
 
 
 def _check_determined(Omega: Array) -> None:
