@@ -5,9 +5,10 @@ J may have several minima: other ends are tried with the whole graph, and the lo
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from copy import deepcopy
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import repeat
 from typing import Any
@@ -25,8 +26,7 @@ from ..linear.precision import inverses
 from ..maps.landmark_map import HELD_STD, LandmarkMap, as_map
 from ..models import SensorModel
 from ..se2 import Array, compose, difference, inverse
-from ..solvers.solution import misfit_of_noise
-from .backend import RELEASED_START, Backend, Relation, information_of
+from .backend import RELEASED_START, Backend, ExpectedCost, Measured, Relation, information_of
 from .other_ends import LatestSightings, OtherEnds
 
 #: other places of landmarks are tried so many times in a row at most, as long as J falls
@@ -39,11 +39,29 @@ PASSES = 12
 TOLERANCE = 3e-8
 #: the fewest steps from one pose that stays a node, with a lag, to the next
 STRETCH = 20
-#: a lag of L poses makes headings look more certain than they are, so that J of right drives is up to 1 + SHORT / L times
-#: what it should be: at most 1.37 times with L = 2, 1.21 with 5 and 1.14 with 10
-SHORT = 1.0
 #: no sightings
 NO_ROWS = np.zeros((0, 3))
+
+
+@dataclass
+class _Added:
+    """What one call adds.
+
+    Attributes:
+        edges: for the engine.
+        landmarks: those that are new.
+        leading: the relation that makes the new pose.
+        rows: single numbers of landmarks that are known.
+        placed: the single numbers of each landmark that they place now.
+        counted: how many measurements of each kind.
+    """
+
+    edges: Any = field(default_factory=engine.NewEdges)
+    landmarks: list[int] = field(default_factory=list)
+    leading: Relation | None = None
+    rows: list[tuple[int, NumberRow]] = field(default_factory=list)
+    placed: dict[int, tuple[NumberRow, ...]] = field(default_factory=dict)
+    counted: Counter[Measured] = field(default_factory=Counter[Measured])
 
 
 class OwnBackend(Backend):
@@ -88,12 +106,7 @@ class OwnBackend(Backend):
             check_count(lag=lag)
             check_positive(lag=lag)
         self._sensor, self._kernel, self.lag = sensor, kernel, lag
-        #: {(numbers that it has, whether the kernel acts on it): how many such measurements there are}
-        self._measured = Counter[tuple[int, bool]]()
-        #: with a lag, J of windows of lag + 1 poses that follow each other, and the mean of J at the true state
-        self._windows = (0.0, 0.0)
-        #: what was measured from poses that stay nodes, which are part of all later windows, and from each that is not final
-        self._of_kept, self._of_poses = Counter[tuple[int, bool]](), dict[int, Counter[tuple[int, bool]]]()
+        self._expected = ExpectedCost(kernel, lag)
         self.system = engine.OnlineSystem(tolerance, PASSES)
         #: the nodes of the poses that are not final, and the values of those that are
         self._poses: list[int] = [self.system.add_node()]
@@ -176,86 +189,99 @@ class OwnBackend(Backend):
         Raises:
             GraphError: a pose or landmark is not determined. Nothing is added then.
         """
-        system, poses, columns, waiting = self.system, len(self._poses), self.columns, self._others.waiting
-        known, added = system.num_nodes, engine.NewEdges()
-        fresh: list[int] = []
-        seen_first = system.num_edges + len(relations)
-        counted: dict[tuple[int, bool], int] = defaultdict(int, {(measured.shape[1], True): len(landmarks)})
-        windows = self._windows
-        if (
-            self.lag is not None
-            and self.num_poses % (self.lag + 1) == 0
-            and any(max(first, second) == self.num_poses for first, second, _, _ in relations)
-        ):
-            now = sum(self._of_poses.values(), self._of_kept)
-            windows = windows[0] + float(system.cost()), windows[1] + self._mean_cost(now)
-        leading: Relation | None = None
-        for relation, in_doubt in zip(relations, repeat(True) if doubted is None else doubted):
-            first, second, z, omega = relation
-            if created := max(first, second) == self.num_poses:
-                self._poses.append(system.add_node())
-                leading = relation
-            counted[3, bool(in_doubt) and not created] += 1
-            kind = Kind.motion if created and first < second else Kind.relation
-            ends = np.array([[self._node(first), self._node(second)]], np.int32)
-            added.add(kind, ends, z[None], omega[None], doubted=bool(in_doubt) and not created)
-        if len(landmarks):
-            self.columns = measured.shape[1]
-            for landmark in landmarks:
-                if landmark not in self._landmarks:
-                    self._landmarks[landmark] = system.add_node()
-                    fresh.append(landmark)
-            node = self._node(pose)
-            ends = np.array([(node, self._landmarks[landmark]) for landmark in landmarks], np.int32)
-            added.add(Kind.sighting, ends, measured, information)
-        placed: dict[int, tuple[NumberRow, ...]] = {}
-        rows: list[tuple[int, NumberRow]] = []
-        if numbers or places or waiting.rows:
-            self._others.waiting = still = waiting.copy()
-            for landmark in fresh:
-                self._add_numbers(added, landmark, still.take(landmark, self.num_final))
-            found, poses_now = dict(places or {}), partial(self._poses_with, leading)
-            for landmark, z in numbers:
-                self.columns = columns or 2
-                row = (pose, float(z[0]), float(z[1]))
-                if landmark in self._landmarks:
-                    rows.append((landmark, row))
-                    self._add_numbers(added, landmark, (row,))
-                elif (place := still.add(landmark, row, poses_now, self.num_final)) is not None:
-                    found[landmark] = place
-            for landmark, place in found.items():
-                self._landmarks[landmark] = system.add_point(*place)
-                fresh.append(landmark)
-                placed[landmark] = still.take(landmark, self.num_final)
-                self._add_numbers(added, landmark, placed[landmark])
+        system, known = self.system, self.system.num_nodes
+        before = len(self._poses), self.columns, self._others.waiting, self._expected.windows
+        first_sighting = system.num_edges + len(relations)
+        if self._expected.window_ends(self.num_poses, relations):
+            self._expected.add_window(float(system.cost()))
+        new = _Added()
+        self._add_relations(new, relations, doubted)
+        self._add_sightings(new, pose, landmarks, measured, information)
+        self._add_single_numbers(new, pose, numbers, places or {})
         # the state before these numbers bend the graph, from which other places are tried
-        before = None
-        doubtful = self._others.doubts(rows, poses_now, self._place) if rows and self.lag is None else []
+        doubtful, state = [], None
+        if new.rows and self.lag is None:
+            doubtful = self._others.doubts(new.rows, partial(self._poses_with, new.leading), self._place)
         if doubtful:
-            before = poses_now(), {id: self._place(id) for id in self._landmarks if id not in fresh}
-        if len(added) and not system.add(known, added, self._poses[-1:]):
-            for landmark in fresh:
+            where = {id: self._place(id) for id in self._landmarks if id not in new.landmarks}
+            state = self._poses_with(new.leading), where
+        if len(new.edges) and not system.add(known, new.edges, self._poses[-1:]):
+            for landmark in new.landmarks:
                 del self._landmarks[landmark]
-            del self._poses[poses:]
-            self.columns, self._others.waiting = columns, waiting
+            del self._poses[before[0] :]
+            self.columns, self._others.waiting, self._expected.windows = before[1:]
             text = "the call leaves a pose or landmark undetermined, so that nothing was added"
             if not system.converged:
                 text += "; the solver had not converged before: is a measurement wrong? It counts little with kernel='cauchy'"
             raise GraphError(text)
-        counted[1, True] += len(rows) + sum(map(len, placed.values()))
-        self._count(pose if len(landmarks) or numbers else self.num_poses - 1, counted)
-        self._windows = windows
-        for landmark, numbers_of_it in placed.items():
+        self._expected.count(pose if len(landmarks) or numbers else self.num_poses - 1, new.counted)
+        for landmark, numbers_of_it in new.placed.items():
             self._others.placed(landmark, numbers_of_it)
-        self._others.seen(landmarks, rows)
+        self._others.seen(landmarks, new.rows)
         # landmarks that are seen as a whole now are no landmarks of single numbers alone
-        if before is not None and (doubtful := [id for id in doubtful if id in self._others.numbers]):
-            self._try_other_places(*before, doubtful)
+        if state is not None and (doubtful := [id for id in doubtful if id in self._others.numbers]):
+            self._try_other_places(*state, doubtful)
         if self._latest is not None and len(landmarks):
             self._latest.add(landmarks, zip(repeat(pose), measured, information))
-            self._try_where_seen(self._latest, landmarks, self.system.squares(seen_first, len(landmarks)))
+            self._try_where_seen(self._latest, landmarks, self.system.squares(first_sighting, len(landmarks)))
         while self.lag is not None and len(self._poses) > self.lag + 1:
             self._marginalize()
+
+    def _add_relations(self, new: _Added, relations: Sequence[Relation], doubted: Sequence[bool] | None) -> None:
+        """The edges of relations, and the node of the pose that they make."""
+        for relation, in_doubt in zip(relations, repeat(True) if doubted is None else doubted):
+            first, second, z, omega = relation
+            if created := max(first, second) == self.num_poses:
+                self._poses.append(self.system.add_node())
+                new.leading = relation
+            in_doubt = bool(in_doubt) and not created
+            kind = Kind.motion if created and first < second else Kind.relation
+            ends = np.array([[self._node(first), self._node(second)]], np.int32)
+            new.edges.add(kind, ends, z[None], omega[None], doubted=in_doubt)
+            new.counted[3, in_doubt] += 1
+
+    def _add_sightings(
+        self, new: _Added, pose: int, landmarks: Sequence[int], measured: Array, information: Array
+    ) -> None:
+        """The edges of landmarks that are seen as a whole, and nodes of those that are new."""
+        if not len(landmarks):
+            return
+        self.columns = measured.shape[1]
+        for landmark in landmarks:
+            if landmark not in self._landmarks:
+                self._landmarks[landmark] = self.system.add_node()
+                new.landmarks.append(landmark)
+        node = self._node(pose)
+        ends = np.array([(node, self._landmarks[landmark]) for landmark in landmarks], np.int32)
+        new.edges.add(Kind.sighting, ends, measured, information)
+        new.counted[self.columns, True] += len(landmarks)
+
+    def _add_single_numbers(
+        self, new: _Added, pose: int, numbers: Sequence[tuple[int, Array]], places: dict[int, Array]
+    ) -> None:
+        """The edges of ranges and bearings alone, and nodes of the landmarks that they place now; others wait."""
+        waiting, columns = self._others.waiting, self.columns
+        if not (numbers or places or waiting.rows):
+            return
+        self._others.waiting = still = waiting.copy()
+        for landmark in new.landmarks:
+            self._add_numbers(new, landmark, still.take(landmark, self.num_final))
+        found = dict(places)
+        for landmark, z in numbers:
+            self.columns = columns or 2
+            row = (pose, float(z[0]), float(z[1]))
+            if landmark in self._landmarks:
+                new.rows.append((landmark, row))
+                self._add_numbers(new, landmark, (row,))
+                continue
+            place = still.add(landmark, row, partial(self._poses_with, new.leading), self.num_final)
+            if place is not None:
+                found[landmark] = place
+        for landmark, place in found.items():
+            self._landmarks[landmark] = self.system.add_point(*place)
+            new.landmarks.append(landmark)
+            new.placed[landmark] = still.take(landmark, self.num_final)
+            self._add_numbers(new, landmark, new.placed[landmark])
 
     def place(self, landmark: int, place: Array) -> None:
         self.update((), places={landmark: place})
@@ -266,7 +292,7 @@ class OwnBackend(Backend):
         added.add(Kind.position, ends, measured[None], information[None], lever[None], doubted)
         if not system.add(system.num_nodes, added, self._poses[-1:]):
             raise GraphError("with this position the graph is not determined, so that nothing was added")
-        self._count(pose, {(len(measured), doubted): 1})
+        self._expected.count(pose, {(len(measured), doubted): 1})
         self._others.positions.append((pose, measured, information, lever))
         if self.lag is None:
             nodes = [*self._poses, *self._landmarks.values()]
@@ -345,26 +371,27 @@ class OwnBackend(Backend):
         self.system.loosen(place, np.ascontiguousarray(information))
         self.system.solve_from(list(nodes), np.ascontiguousarray(values), self._poses[-1:])
 
-    def _add_numbers(self, added: Any, landmark: int, rows: tuple[NumberRow, ...]) -> None:
+    def _add_numbers(self, new: _Added, landmark: int, rows: tuple[NumberRow, ...]) -> None:
         """Add the edges of single numbers of a landmark that is a node."""
         for each in edges_of_rows(landmark, rows, self._sensor, self.num_poses) if rows else ():
             ends = np.array([(self._node(step), self._landmarks[landmark]) for step in each.first.tolist()], np.int32)
             kind = Kind.range if isinstance(each, RangeEdges) else Kind.bearing
-            added.add(kind, ends, each.measured, each.information, np.tile(each.offset, (each.count, 1)))
+            new.edges.add(kind, ends, each.measured, each.information, np.tile(each.offset, (each.count, 1)))
+        new.counted[1, True] += len(rows)
 
     def _marginalize(self) -> None:
         """Make the oldest pose final."""
         if self.num_final == len(self._final):
             self._final = np.concatenate([self._final, np.zeros_like(self._final)])
-        oldest, counts = self._poses.pop(0), self._of_poses.pop(self.num_final, Counter())
+        oldest = self._poses.pop(0)
         # where the map grows, one at intervals stays a node: what others leave is then relative to a pose nearby
         due = self.num_final % max(self.lag or 0, STRETCH) == 0
-        if due and (self.num_final == 0 or len(self._landmarks) > self._mapped):
+        kept = due and (self.num_final == 0 or len(self._landmarks) > self._mapped)
+        self._expected.becomes_final(self.num_final, kept)
+        if kept:
             self._mapped = len(self._landmarks)
             self._kept.append(oldest)
             self._final[self.num_final] = self.system.values([oldest])[0]
-            # its motions become parts of the priors of the poses beside it
-            self._of_kept += Counter({key: n for key, n in counts.items() if key != (3, False)})
         else:
             self._final[self.num_final] = self.system.marginalize(oldest, self._poses[-1:])
         self.num_final += 1
@@ -373,13 +400,6 @@ class OwnBackend(Backend):
             self._kept = [number[node] for node in self._kept]
             self._poses = [number[node] for node in self._poses]
             self._landmarks = {key: number[node] for key, node in self._landmarks.items()}
-
-    def _count(self, pose: int, measured: Mapping[tuple[int, bool], int]) -> None:
-        """Count what was measured from a pose."""
-        for numbers, count in measured.items():
-            self._measured[numbers] += count
-        if self.lag is not None:
-            self._of_poses.setdefault(pose, Counter()).update(measured)
 
     def _node(self, pose: int) -> int:
         return self._poses[pose - self.num_final]
@@ -421,29 +441,13 @@ class OwnBackend(Backend):
 
     @property
     def misfit(self) -> str:  # type: ignore[override]
-        if self.lag is None or not self.num_final:
-            return misfit_of_noise(self.cost, self._expected_cost)
-        cost, at_truth = self._windows
-        return misfit_of_noise(cost, at_truth * self._part_left * (1 + SHORT / self.lag))
+        windows = self.lag is not None and self.num_final
+        return self._expected.misfit(None if windows else self.cost, self._num_unknowns)
 
     @property
-    def _expected_cost(self) -> float:
-        return self._mean_cost(self._measured) * self._part_left
-
-    def _mean_cost(self, measured: Counter[tuple[int, bool]]) -> float:
-        """The mean of J of these measurements at the true state."""
-        return sum(
-            count * (self._kernel.mean_loss(numbers) if self._kernel and doubted else numbers)
-            for (numbers, doubted), count in measured.items()
-        )
-
-    @property
-    def _part_left(self) -> float:
-        """The part of it that the estimate leaves, see `Graph.expected_cost`."""
-        rows = sum(numbers * count for (numbers, _), count in self._measured.items())
-        # the landmarks of the map have as many numbers as priors
-        unknowns = 3 * (self.num_poses - 1 + self._in_map) + (self.columns or 0) * (len(self._landmarks) - self._of_map)
-        return max(1 - unknowns / max(rows, 1), 1e-3)
+    def _num_unknowns(self) -> int:
+        """The numbers that are estimated, without the landmarks of the map, which have as many numbers as priors."""
+        return 3 * (self.num_poses - 1 + self._in_map) + (self.columns or 0) * (len(self._landmarks) - self._of_map)
 
     @property
     def pose(self) -> Array:
