@@ -90,6 +90,7 @@ void bind(nb::module_& m) {
                           In<double> information) { s.loosen(triples_of(place).at(0), copy_of(information)); })
         .def("relinearize", [](OnlineSystem& s, const Numbers32& newest) { s.relinearize(newest); })
         .def("marginalize", [](OnlineSystem& s, Id node, const Numbers32& newest) { return s.marginalize(node, newest); })
+        .def("remove", [](OnlineSystem& s, Id landmark, const Numbers32& newest) { return s.remove(landmark, newest); })
         .def("crowded", &OnlineSystem::crowded)
         .def("renumber", &OnlineSystem::renumber)
         .def("complete", &OnlineSystem::complete)

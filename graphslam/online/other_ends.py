@@ -19,7 +19,16 @@ import numpy as np
 from ..edges import PositionEdges
 from ..edges.robust import Kernel
 from ..graph.defaults import into_world
-from ..graph.trilateration import MIN_GAP, MORE, NumberRow, WaitingNumbers, edges_of_rows, other_places, places_of_rows
+from ..graph.trilateration import (
+    KNOWN,
+    MIN_GAP,
+    MORE,
+    NumberRow,
+    WaitingNumbers,
+    edges_of_rows,
+    other_places,
+    places_of_rows,
+)
 from ..models import SensorModel
 from ..se2 import Array, between, compose, difference, wrap
 
@@ -81,6 +90,22 @@ class OtherEnds:
         for id in tried:
             self.tried[id] = len(self.numbers[id])
         return other_places((id, places_of_rows(id, self.numbers[id], self.sensor, poses), places[id]) for id in tried)
+
+    def unknown(self, poses: Array, place: Callable[[int], Array]) -> list[int]:
+        """The landmarks that are not where their numbers from poses (T, 3) put them, or which these do not put anywhere."""
+        found = list[int]()
+        for id, rows in self.numbers.items():
+            by_numbers, now = places_of_rows(id, rows, self.sensor, poses), place(id)[:2]
+            distance = np.hypot(*(now - poses[rows[-1][0], :2]))
+            if not by_numbers.known or np.hypot(*(by_numbers.places[0] - now)) > KNOWN * distance:
+                found.append(id)
+        return found
+
+    def wait_again(self, landmark: int) -> int:
+        """Let a landmark wait for a place until it has a quarter more numbers; returns how many it has."""
+        self.waiting.rows[landmark] = rows = tuple(self.numbers.pop(landmark))
+        self.waiting.tried[landmark] = len(rows)
+        return len(rows)
 
     def turned(self, state: Array, poses: int) -> Array | None:
         """A state (n, 3), poses first, where the positions put it in closed form, where that is due and far from it."""

@@ -150,8 +150,6 @@ class OwnBackend(Backend):
             self.system.add_prior([nodes[k] for k in group], places[group], omega, columns == 2, turns)
         self.system.solve(nodes, self._poses)
 
-    # -- measurements ------------------------------------------------------------------------------------------------
-
     def relate(self, *relations: Relation) -> None:
         self.update(relations)
 
@@ -210,6 +208,10 @@ class OwnBackend(Backend):
                 del self._landmarks[landmark]
             del self._poses[before[0] :]
             self.columns, self._others.waiting, self._expected.windows = before[1:]
+            if self._let_wait_again():
+                seen = pose, landmarks, measured, information, numbers
+                self.update(relations, *seen, places=places, doubted=doubted)
+                return
             text = "the call leaves a pose or landmark undetermined, so that nothing was added"
             if not system.converged:
                 text += "; the solver had not converged before: is a measurement wrong? It counts little with kernel='cauchy'"
@@ -221,6 +223,8 @@ class OwnBackend(Backend):
         # landmarks that are seen as a whole now are no landmarks of single numbers alone
         if state is not None and (doubtful := [id for id in doubtful if id in self._others.numbers]):
             self._try_other_places(*state, doubtful)
+        while not self.system.converged and self._let_wait_again():
+            pass
         if self._latest is not None and len(landmarks):
             self._latest.add(landmarks, zip(repeat(pose), measured, information))
             self._try_where_seen(self._latest, landmarks, self.system.squares(first_sighting, len(landmarks)))
@@ -318,6 +322,19 @@ class OwnBackend(Backend):
                 break
             poses, places = self.poses, {id: self._place(id) for id in places}
 
+    def _let_wait_again(self) -> bool:
+        """Take landmarks out of the graph whose single numbers do not say any more where they are; whether there were any.
+
+        J then has its minimum at infinity, no step converges, and later ones would be refused.
+        """
+        # what a lag has made a prior of stays
+        unknown = self._others.unknown(self.poses, self._place)
+        gone = [id for id in unknown if self.system.remove(self._landmarks[id], self._poses[-1:])]
+        for id in gone:
+            del self._landmarks[id]
+            self._expected.measured[1, True] -= self._others.wait_again(id)
+        return bool(gone)
+
     def _try_where_seen(self, latest: LatestSightings, landmarks: Sequence[int], squares: Sequence[float]) -> None:
         """Try landmarks that what is seen now contradicts where their latest sightings put them, and take the lowest J."""
         for id in latest.contradicted(landmarks, squares):
@@ -406,8 +423,6 @@ class OwnBackend(Backend):
 
     def relinearize(self) -> None:
         self.system.relinearize(self._poses[-1:])
-
-    # -- estimates ---------------------------------------------------------------------------------------------------
 
     @property
     def num_poses(self) -> int:

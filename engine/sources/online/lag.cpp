@@ -125,6 +125,16 @@ Triple OnlineSystem::marginalize(Id node, std::span<const Id> newest) {
     return value;
 }
 
+bool OnlineSystem::remove(Id landmark, std::span<const Id> newest) {
+    for (const Prior& prior : priors_)
+        if (std::ranges::find(prior.members, landmark) != prior.members.end()) return false;
+    complete();
+    for (const Id e : graph_.edges_of(landmark)) take_out(graph_, e);
+    graph_.nodes[landmark].gone = true;
+    begin_and_solve(places(), newest);
+    return true;
+}
+
 bool OnlineSystem::crowded() const {
     const auto gone = std::count_if(graph_.nodes.begin(), graph_.nodes.end(), [](const Node& node) { return node.gone; });
     return graph_.size() > 64 && 2 * gone > graph_.size();

@@ -91,6 +91,10 @@ bool OnlineSystem::solve_from(std::span<const Id> nodes, std::span<const Triple>
     complete();
     std::vector<Triple> x = this->places();
     for (std::size_t k = 0; k < nodes.size(); ++k) x[nodes[k]] = places[k];
+    return begin_and_solve(x, newest);
+}
+
+bool OnlineSystem::begin_and_solve(std::span<const Triple> x, std::span<const Id> newest) {
     ++tree_.step;
     passes = 0;
     if (!begin_at(x, newest)) return converged = false;

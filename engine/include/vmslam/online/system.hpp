@@ -56,6 +56,8 @@ class OnlineSystem {
     ///
     /// Throws std::invalid_argument for a landmark without heading, and for a pose without neighbours.
     Triple marginalize(Id node, std::span<const Id> newest);
+    /// Take a landmark and its edges out of the graph, and solve; false where a prior is on it, and nothing changes then.
+    bool remove(Id landmark, std::span<const Id> newest);
     /// Whether more than half of the nodes were marginalised.
     bool crowded() const;
     /// Free what belonged to marginalised nodes; returns the new number of each node, or -1.
@@ -121,6 +123,8 @@ class OnlineSystem {
     bool eliminate(const Changes& changes);
     /// Build the tree anew with all nodes at x; returns whether they are determined. It is empty otherwise.
     bool begin_at(std::span<const Triple> x, std::span<const Id> newest);
+    /// The same, and solve from there.
+    bool begin_and_solve(std::span<const Triple> x, std::span<const Id> newest);
     bool move_to(std::span<const Triple> x);
     bool factorize_all();
     bool solve_as_batch(std::span<const Id> newest);
