@@ -201,6 +201,48 @@ def noise_of_slopes(parameters: Parameters, rng: np.random.Generator) -> tuple[A
     return np.add.reduceat((by_control @ noise[:, :, None])[:, :, 0], log.control_starts[:-1]), slopes
 
 
+def recorded_rows(log: Log) -> np.ndarray:
+    """The number (S,) of the recorded control of which each control is a piece.
+
+    It is counted back from the end of each stretch of one control, and in the last one from its beginning.
+    """
+    assert log.controls is not None and log.dt is not None
+    share = log.dt / (log.dt if log.recorded_dt is None else log.recorded_dt)
+    changed = np.flatnonzero(np.any(np.diff(log.controls, axis=0) != 0, axis=1))
+    ends = np.cumsum(share)
+    stretch = np.searchsorted(changed, np.arange(len(share)))
+    zeros = ends[np.append(changed, changed[-1:])] if len(changed) else np.zeros(1)
+    rows = np.floor(ends - share / 2 - zeros[stretch])
+    begins = (np.diff(rows, prepend=np.nan) != 0) | (np.diff(stretch, prepend=-1) != 0)
+    return np.cumsum(begins) - 1
+
+
+def with_whole_controls(log: Log) -> Log:
+    """The log with the pieces of each recorded control that belong to one motion joined to one control.
+
+    Poses that are left out have cut controls, which should not change what is estimated from the others.
+    """
+    assert log.controls is not None and log.dt is not None
+    motion = np.repeat(np.arange(log.num_poses - 1), np.diff(log.control_starts))
+    begins = np.flatnonzero((np.diff(recorded_rows(log), prepend=-1) != 0) | (np.diff(motion, prepend=-1) != 0))
+    if len(begins) == len(log.dt):
+        return log
+    dt = np.add.reduceat(log.dt, begins)
+    recorded = log.dt if log.recorded_dt is None else log.recorded_dt
+    changes: dict[str, Any] = {
+        "dt": dt,
+        "controls": log.controls[begins],
+        "recorded_dt": np.maximum(recorded[begins], dt),
+    }
+    if log.control_variances is not None:
+        # a variance V of a control that lasts D moves the robot by V D²
+        moved = np.add.reduceat(log.control_variances * log.dt[:, None] ** 2, begins)
+        changes["control_variances"] = moved / dt[:, None] ** 2
+    if log.true_path is not None:
+        changes["true_path"] = log.true_path[np.append(begins, len(log.dt))]
+    return log.replace(**changes, control_starts=np.searchsorted(begins, log.control_starts))
+
+
 def changes_within(log: Log) -> Array:
     """The variances (S, 3) of single controls whose speeds change before the next one, as `Log.control_variances`.
 
@@ -212,16 +254,11 @@ def changes_within(log: Log) -> Array:
     """
     assert log.controls is not None and log.dt is not None
     recorded = log.dt if log.recorded_dt is None else log.recorded_dt
-    share, changed = log.dt / recorded, np.flatnonzero(np.any(np.diff(log.controls, axis=0) != 0, axis=1))
-    if np.median(recorded) <= LASTING or len(changed) == 0:
+    share = log.dt / recorded
+    if np.median(recorded) <= LASTING or not np.any(np.diff(log.controls, axis=0)):
         return np.zeros((len(log.dt), 3))
-    # the row of each piece: counted back from the end of each stretch of one control, and in the last one from its beginning
-    ends = np.cumsum(share)
-    stretch = np.searchsorted(changed, np.arange(len(share)))
-    at = np.append(changed, changed[-1])
-    rows = np.floor(ends - share / 2 - ends[at][stretch])
-    begins = np.append(True, (np.diff(rows) != 0) | (np.diff(stretch) != 0))
-    first_piece, row = np.flatnonzero(begins), np.cumsum(begins) - 1
+    row = recorded_rows(log)
+    first_piece = np.flatnonzero(np.diff(row, prepend=-1))
     d = np.pad(np.diff(log.controls[first_piece], axis=0), ((1, 1), (0, 0)), mode="edge")
     squares = ((d[1:] ** 2 + d[:-1] ** 2) / 2)[row]
     sideways = np.sum(log.controls**2 * squares[:, ::-1], axis=1) * share * log.dt**2 / 40

@@ -30,6 +30,7 @@ from ..errors import GraphError, LogError, OptionError, quoted
 from ..errors.checks import check_count, check_type, singular
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
+from .corrections import with_whole_controls
 from .declared import KINDS, ParameterEstimate
 from .odometry import Odometry, sighting_times
 from .restricted_likelihood import better_start, fit, gain_over, hold_needless, numbers_on_motion, solved_with
@@ -62,7 +63,7 @@ from .sighting_errors import (
     smoothed,
 )
 from .slips import MOST as MOST_SLIPS
-from .slips import Slip, slip_of_drive, uneven_of, without_contradicted, without_slips
+from .slips import Slip, slip_of_drive, uneven_of, with_slip, without_contradicted, without_slips
 from .unknowns import Unknowns
 
 #: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare
@@ -142,7 +143,8 @@ def _estimate(
     again, off = partial(_estimate, recorded, sensor, given, rng, improvements), known.ranges
     log = known.undone(recorded)
     drive, first, ids, slips = _with_ids(evened(log, off), sensor, rng)
-    log = log.replace(control_variances=drive.control_variances)
+    for slip in slips:
+        log = with_slip(log, slip)
     measured = ids.correct(drive)
     ids = ids.within(log.landmarks)
     # by the ids that are right
@@ -261,7 +263,7 @@ def _with_ids(
         motion: the noise of the motion is this, and that of the sensor that of ``sensor``. Default: both are estimated.
         start: begin from this solution of the drive, and with its priors.
     """
-    drive = _of_sightings(log.with_sightings(log.landmarks != UNIDENTIFIED))
+    drive = with_whole_controls(_of_sightings(log.with_sightings(log.landmarks != UNIDENTIFIED)))
     drive, local, doubtful, alone, slips = _local(drive, sensor, motion, start)
     fewer = _at_most(drive.with_sightings(~doubtful), MOST)
     first = _joined(fewer, sensor, local, ROUNDS[1])[0]
@@ -292,7 +294,7 @@ def with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel) -> Log:
             f"{log.name} has {sizes}; that takes odometry, {FEWEST['sightings']} sightings and {FEWEST['poses']} poses"
         )
     try:
-        drive, _, ids, slips = _with_ids(log, sensor, np.random.default_rng(0), motion)
+        _, _, ids, slips = _with_ids(log, sensor, np.random.default_rng(0), motion)
     except np.linalg.LinAlgError:
         raise GraphError(f"{log.name}: the sightings do not determine the poses") from None
     ids = ids.within(log.landmarks)
@@ -305,7 +307,9 @@ def with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel) -> Log:
     notes = (*(slip.sentence(log) for slip in slips), *of_ids)
     if not notes:
         return log
-    return ids.correct(log).replace(notes=(*log.notes, *notes), control_variances=drive.control_variances)
+    for slip in slips:
+        log = with_slip(log, slip)
+    return ids.correct(log).replace(notes=(*log.notes, *notes))
 
 
 def _check(log: Log) -> None:
