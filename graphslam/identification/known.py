@@ -10,8 +10,7 @@ import numpy as np
 from ..errors import GraphError, LogError, OptionError
 from ..errors.checks import check_choice
 from ..log import UNIDENTIFIED, Log
-from ..log.cells import DOUBTFUL_NOISE
-from ..log_checks.readings import nothing_measured
+from ..log.cells import DOUBTFUL_NOISE, nothing_measured
 from ..models import MotionModel, SensorModel
 from .result import RobotEstimate
 from .robot import FEWEST
@@ -76,7 +75,7 @@ def with_findings(log: Log, corrected: Log, found: RobotEstimate, *notes: str) -
     Equal ranges of the recorded log are reported here, because corrections make them differ.
     """
     doubts = [(DOUBTFUL_NOISE, each) for each in found.doubts]
-    doubts += [(each.check, each.message) for each in nothing_measured(log.sightings[:, 0])]
+    doubts += nothing_measured(log.sightings[:, 0])
     said = (*corrected.notes, *found.sentences, *not_used(log), *notes)
     return corrected.replace(notes=said, doubts=(*corrected.doubts, *doubts))
 
