@@ -437,13 +437,16 @@ def repeated_sightings(
     order = np.lexsort((numbers, *rows.T[::-1], ids, ns))
     ns, ids, rows, numbers = ns[order], ids[order], rows[order], numbers[order]
     same = (np.diff(ns) == 0) & (np.diff(ids) == 0)
-    twice = same & np.all(rows[1:] == rows[:-1], axis=1)
+    missing = np.isnan(rows)
+    twice = same & np.all((rows[1:] == rows[:-1]) | (missing[1:] & missing[:-1]), axis=1)
     doubts: list[Doubt] = []
     if twice.any():
         which = f"{_first(table, numbers[1:][twice], 'sighting')} (of {len(ns)}) with the time, id and numbers of another row"
         cause = "the rows were probably written twice, or two files joined, and these sightings count twice"
         doubts.append((DOUBLED, f"{which}: {cause}"))
-    other = same & ~twice & (ids[1:] != UNIDENTIFIED)
+    # a range and a bearing alone may come from two sensors
+    alike = np.any(~missing[1:] & ~missing[:-1], axis=1)
+    other = same & ~twice & alike & (ids[1:] != UNIDENTIFIED)
     if np.sum(other) > _SHARE * len(ns) and np.ptp(ids) > 0:
         later = np.maximum(numbers[1:], numbers[:-1])[other]
         which = f"{_first(table, later, 'sighting')} (of {len(ns)})"
