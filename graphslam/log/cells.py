@@ -392,11 +392,11 @@ MOVED_BETWEEN = "moved between logs"
 DOUBTFUL_NOISE = "doubtful noise"
 #: the largest range stands for no measurement where, of at least the first number of sightings, at least the second have it,
 #: and it is longer than the next one by at least this factor
-ENOUGH, REPEATED, BEYOND = 20, 3, 1.2
+_ENOUGH, _EQUAL, _BEYOND = 20, 3, 1.2
 #: it is the limit of the sensor, reported for all that is farther, where more than this part of the sightings have it, and so
 #: many times as many as any other range. In Lost in the Woods 4 % have it: they are 4 cm too long, and the ATE is 2 % smaller
 #: without them
-CLIPPED, OFTEN = 0.05, 5
+_CLIPPED, _OFTEN = 0.05, 5
 
 
 def repeated_times(
@@ -475,12 +475,12 @@ def nothing_measured(ranges: Array) -> Iterator[Doubt]:
     Or where it repeats far more often than others do: a sensor that reports its limit for landmarks beyond it.
     """
     values, counts = np.unique(ranges, return_counts=True)
-    enough = len(ranges) >= ENOUGH and len(values) > 1 and counts[-1] >= REPEATED
-    if enough and values[-1] > BEYOND * values[-2]:
+    enough = len(ranges) >= _ENOUGH and len(values) > 1 and counts[-1] >= _EQUAL
+    if enough and values[-1] > _BEYOND * values[-2]:
         message = f"{counts[-1]} sightings have the same range of {values[-1]:g} m, and all others are below"
         cause = "the sensor may report it where it measures nothing. Remove these rows"
         yield "range without measurement", f"{message} {values[-2]:.3g} m; {cause}"
-    elif enough and counts[-1] > max(CLIPPED * len(ranges), OFTEN * counts[:-1].max()):
+    elif enough and counts[-1] > max(_CLIPPED * len(ranges), _OFTEN * counts[:-1].max()):
         message = f"{counts[-1]} of {len(ranges)} sightings have the same range of {values[-1]:g} m, and none is longer"
         cause = "the sensor may report it for all that is farther away. Remove these rows"
         yield "range limit", f"{message}; {cause}"
