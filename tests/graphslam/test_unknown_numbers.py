@@ -156,6 +156,8 @@ def test_few_ranges_among_bearings_leave_lengths_to_the_odometry(count, told, mo
     found = estimate_robot(bearings.replace(partial_sightings=mixed))
     assert ("wheel_scale" in found.parameters.names) == told
     assert ("wheel_scale" not in found.untested) == told
+    # bearings tell where their sensor is, in metres of the odometry
+    assert "sensor_ahead" not in found.untested
 
 
 @pytest.mark.slow
