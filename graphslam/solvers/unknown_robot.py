@@ -26,7 +26,7 @@ from ..errors import GraphError
 from ..graph import Graph
 from ..graph.defaults import anchors
 from ..identification.declared import PLACE, ParameterEstimate, one_after_the_other
-from ..identification.restricted_likelihood import fit, hold_needless
+from ..identification.restricted_likelihood import fit, hold_needless, numbers_on_motion
 from ..identification.result import ESTIMATE, LeftOut, RobotEstimate, without_found
 from ..identification.robot import FEWEST, check_robot_options, estimate_from_sightings, too_few
 from ..identification.sighting_errors import Ids
@@ -195,4 +195,5 @@ def _from_solution(log: Log, sensor: SensorModel, poses: Array, landmarks: Mappi
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors,
         ids=Ids(partial.landmarks, none, none, ~none), left_out=LeftOut(0, {ESTIMATE: 0.0}), untested=untested,
+        on_motion=numbers_on_motion(unknowns),
     )  # fmt: skip
