@@ -24,7 +24,6 @@ from ..identification.known import (
     BOOK,
     enough_ids,
     known_robot,
-    not_used,
     unknown_noise,
     with_book,
     with_findings,
@@ -435,7 +434,7 @@ def known_noise(
         if noise == AUTO:
             raise
         return with_book(log, error), None
-    return with_findings(found.corrected(log), found, *not_used(log), *notes), found
+    return with_findings(log, found.corrected(log), found, *notes), found
 
 
 def robot_of(log: Log, motion: MotionModel, sensor: SensorModel) -> tuple[RobotEstimate, tuple[str, ...]]:

@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import GraphError, LogError, OptionError
 from ..errors.checks import check_choice
 from ..log import UNIDENTIFIED, Log
-from ..log.cells import DOUBTFUL_NOISE
+from ..log.cells import DOUBTFUL_NOISE, nothing_measured
 from ..models import MotionModel, SensorModel
 from .result import RobotEstimate
 from .robot import FEWEST
@@ -66,13 +66,18 @@ def known_robot(
         if noise == AUTO:
             raise
         return with_book(log, error), None
-    return with_findings(found.log, found, *not_used(log)), found
+    return with_findings(log, found.log, found), found
 
 
-def with_findings(log: Log, found: RobotEstimate, *notes: str) -> Log:
-    """The log with what the estimate says as notes, with further ones, and with its doubts."""
-    doubts = tuple((DOUBTFUL_NOISE, each) for each in found.doubts)
-    return log.replace(notes=(*log.notes, *found.sentences, *notes), doubts=(*log.doubts, *doubts))
+def with_findings(log: Log, corrected: Log, found: RobotEstimate, *notes: str) -> Log:
+    """The corrected log with what the estimate says as notes, with further ones, and with its doubts.
+
+    Equal ranges of the recorded log are reported here, because corrections make them differ.
+    """
+    doubts = [(DOUBTFUL_NOISE, each) for each in found.doubts]
+    doubts += nothing_measured(log.sightings[:, 0])
+    said = (*corrected.notes, *found.sentences, *not_used(log), *notes)
+    return corrected.replace(notes=said, doubts=(*corrected.doubts, *doubts))
 
 
 def noise_of(

@@ -18,18 +18,12 @@ from numpy.typing import ArrayLike
 
 from ..errors import checks, decimals
 from ..log import Log
+from ..log.cells import nothing_measured
 from ..log.rows import UNIDENTIFIED
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, between, wrap
 from .ids import Finding
 
-#: the largest range stands for no measurement where, of at least the first number of sightings, at least the second have it,
-#: and it is longer than the next one by at least this factor
-ENOUGH, REPEATED, BEYOND = 20, 3, 1.2
-#: it is the limit of the sensor, reported for all that is farther, where more than this part of the sightings have it, and so
-#: many times as many as any other range. In Lost in the Woods 4 % have it: they are 4 cm too long, and the ATE is 2 % smaller
-#: without them
-CLIPPED, OFTEN = 0.05, 5
 #: way between the two sightings of a pair, [rad] turned plus [ranges] driven: at least, at most
 _LEAST, _MOST = 0.4, 1.5
 #: pairs with a larger turn [rad] show the sign of bearings
@@ -377,7 +371,7 @@ def _sizes(log: Log) -> Iterator[Finding]:
     yield from single_pose(log)
     if len(log.sightings) and (far := float(np.median(log.sightings[:, 0]))) > checks.FARTHEST:
         yield Finding("range unit", f"half of the ranges are above {decimals(far, 0)} m; they may be in millimetres")
-    yield from nothing_measured(log.sightings[:, 0])
+    yield from (Finding(*doubt) for doubt in nothing_measured(log.sightings[:, 0]))
     if log.controls is None or log.dt is None or len(log.controls) == 0:
         return
     speed, turn = np.quantile(np.abs(log.controls), 0.95, axis=0)
@@ -400,20 +394,3 @@ def single_pose(log: Log) -> Iterator[Finding]:
             "the log has a single pose: there is no motion, and without a map nothing to estimate, so that convergence, "
             "proofs and expected errors mean nothing; the rows may all have the same time",
         )
-
-
-def nothing_measured(ranges: Array) -> Iterator[Finding]:
-    """The largest range (of N), where it repeats exactly and no other range is near: 9999 or 65.535, for example.
-
-    Or where it repeats far more often than others do: a sensor that reports its limit for landmarks beyond it.
-    """
-    values, counts = np.unique(ranges, return_counts=True)
-    enough = len(ranges) >= ENOUGH and len(values) > 1 and counts[-1] >= REPEATED
-    if enough and values[-1] > BEYOND * values[-2]:
-        message = f"{counts[-1]} sightings have the same range of {values[-1]:g} m, and all others are below"
-        cause = "the sensor may report it where it measures nothing. Remove these rows"
-        yield Finding("range without measurement", f"{message} {values[-2]:.3g} m; {cause}")
-    elif enough and counts[-1] > max(CLIPPED * len(ranges), OFTEN * counts[:-1].max()):
-        message = f"{counts[-1]} of {len(ranges)} sightings have the same range of {values[-1]:g} m, and none is longer"
-        cause = "the sensor may report it for all that is farther away. Remove these rows"
-        yield Finding("range limit", f"{message}; {cause}")

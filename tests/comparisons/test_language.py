@@ -64,7 +64,7 @@ SOURCES: tuple[Callable[..., Any], ...] = (
     studies.consistency_tables, studies.summary_tables, log_tables.survey_tables, log_tables.calibration_tables,
     readings.readings_of, readings.SightingPairs._others, readings.SightingPairs._clocks, readings._direction, readings.sizes,
     readings.single_pose,
-    readings.nothing_measured, given.against_truth, given._headings, given.against_map, ids.misread_ids, ids.ids_of,
+    cells.nothing_measured, given.against_truth, given._headings, given.against_map, ids.misread_ids, ids.ids_of,
     ids.changed_ids, cells.repeated_times, geometry.sideways_poses, geometry.sideways_speed, cells.repeated_sightings,
     streams._why_few, readings.orientations_of,
 )  # fmt: skip

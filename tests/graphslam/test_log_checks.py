@@ -295,6 +295,13 @@ def test_a_sensor_that_reports_its_limit_for_all_that_is_farther_is_told(sample)
     assert "range limit" not in checks(sample.replace(sightings=stepped))
 
 
+def test_the_limit_of_a_sensor_is_told_of_a_corrected_log():
+    """A delay that is taken out changes each range, so that no two are equal any more."""
+    log, _ = Drive(seed=1, duration=60, parameters={"sensor_delay": 0.1}).simulate()
+    clipped = log.replace(sightings=np.minimum(log.sightings, [np.median(log.sightings[:, 0]), np.inf]))
+    assert "range limit" in checks(Graph.from_log(clipped).log)
+
+
 @pytest.mark.parametrize("share", [0.01, 0.02, 0.05, 0.1])
 def test_single_misread_ids_are_counted(share):
     """The sentence says how many at least, and not that a detector counted the landmarks anew."""

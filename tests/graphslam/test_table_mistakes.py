@@ -162,6 +162,15 @@ def test_times_that_are_rounded_are_a_doubt(drive):
     assert not check_log(load(drive(sightings=text("t,id,range,bearing", [*rows, (9.0, 4, 1.0, 0.1)]))))
 
 
+def test_a_range_and_a_bearing_alone_of_one_time_are_two_sensors(drive):
+    """They were said to be several objects with one id, and so were ranges alone that are there twice."""
+    times = np.repeat(np.arange(1.0, 9.0, 0.2), 2).tolist()
+    rows = [(t, 3 + k // 2 % 2, *((2.0 + t / 10, "") if k % 2 else ("", 0.1))) for k, t in enumerate(times)]
+    assert not load(drive(sightings=text("t,id,range,bearing", rows))).doubts
+    twice = [row for row in rows if row[3] == "" for _ in range(2)]
+    assert len(messages(load(drive(sightings=text("t,id,range,bearing", twice))), "doubled sightings")) == 1
+
+
 def test_a_single_row_that_comes_twice_is_a_note(drive, expected):
     log = load(drive(odometry=text("t,nu,omega", [*ODOMETRY[:5], *ODOMETRY[4:]])))
     assert log.equals(expected) and not messages(log, "odometry repeats")

@@ -79,6 +79,14 @@ def test_bearings_leave_lengths_to_the_odometry():
     assert found.remarks[-1].startswith("not estimated from these ranges and bearings alone: sensor_delay, wheel_scale")
 
 
+@pytest.mark.slow
+def test_numbers_that_hardly_show_the_noise_of_the_odometry_are_doubted():
+    doubt = "too short, or the sensor too poor, to tell the noise of the odometry"
+    # a minute of ranges of a few landmarks, and of bearings
+    doubts = [estimate_robot(drive(ranged)).doubts for ranged in (True, False)]
+    assert [any(doubt in each for each in one) for one in doubts] == [True, False]
+
+
 def test_noise_is_found_whatever_is_imported():
     # graphs, online solvers and drives ask this function; sightings are those of another estimator
     log = drive(True)
@@ -156,6 +164,8 @@ def test_few_ranges_among_bearings_leave_lengths_to_the_odometry(count, told, mo
     found = estimate_robot(bearings.replace(partial_sightings=mixed))
     assert ("wheel_scale" in found.parameters.names) == told
     assert ("wheel_scale" not in found.untested) == told
+    # bearings tell where their sensor is, in metres of the odometry
+    assert "sensor_ahead" not in found.untested
 
 
 @pytest.mark.slow
