@@ -116,19 +116,20 @@ def prepare(
         data = data.replace(control_variances=honest_variances(data))
     if check_ids:
         data = _with_checked_ids(data, motion, sensor)
+    known_map = _map_of(options)
     if of_file and data.controls is not None:
-        data = _compared_with_estimate(data, motion, sensor)
+        data = _compared_with_estimate(data, motion, sensor, known_map)
     if options.max_range is not None:
         # what is farther away has been left out, so that the sensor does not see it
         least, most, view = sensor.limits
         sensor = sensor.with_limits(least, min(most, options.max_range), view)
     in_map: dict[str, Any] = {}
-    if (landmark_map := _map_of(options)) is not None:
-        data, kept, notes = in_frame_of(data, landmark_map, motion=motion, sensor=sensor)
+    if known_map is not None:
+        data, kept, notes = in_frame_of(data, known_map, motion=motion, sensor=sensor)
         in_map = {"landmark_map": kept}
         remarks = list(notes)
         with noted(remarks, "whether landmarks of the map have moved is not known"):
-            states = map_states(data, landmark_map, motion=motion, sensor=sensor)
+            states = map_states(data, known_map, motion=motion, sensor=sensor)
             remarks.append(states.sentence)
             in_map |= {"landmark_map": states.map, "landmark_states": states.landmarks}
         data = data.replace(notes=(*data.notes, *remarks))
@@ -240,10 +241,13 @@ def _with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel) -> Log
         return log.replace(notes=(*log.notes, f"the ids were not checked, because {str(error).rstrip('.')}"))
 
 
-def _compared_with_estimate(log: Log, motion: MotionModel, sensor: SensorModel) -> Log:
-    """The log, corrected by a noise file, with a note of how well this predicts, and a doubt where it shows biases."""
+def _compared_with_estimate(log: Log, motion: MotionModel, sensor: SensorModel, known_map: LandmarkMap | None) -> Log:
+    """The log, corrected by a noise file, with a note of how well this predicts, and a doubt where it shows biases.
+
+    With a map, biases are those that both show: a log alone does not tell the scale of ranges from that of the wheels.
+    """
     try:
-        found = estimate_robot(log, sensor=sensor, given=(motion, sensor))
+        found = estimate_robot(log, sensor=sensor, given=(motion, sensor), map=known_map)
     except (GraphError, LogError):
         # a short log does not tell its noise
         return log

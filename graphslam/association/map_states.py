@@ -12,7 +12,8 @@ the mean of those with turn = `TURN` and 0: a landmark that has moved may have t
 **Gone.** In scan v a landmark is well within the field of view with probability p_v, by the covariances of the pose and of
 the landmark, and one that is there is then seen with probability d. Landmarks are occluded to different degrees: d has a beta
 distribution, estimated from the landmarks that were seen, of each the product over the scans of d or 1 - p_v d. One that was
-never seen is gone with the likelihood 1, and there with E[(1 - d)^n], n the number of scans in which it is in view. The
+never seen is gone with the likelihood 1, and there with E[(1 - d)^n], n the number of scans in which it is in view. These
+count in the estimate, too: where walls hide many, or tags show from one side only, d near 0 is more probable. The
 error of its place relative to the trajectory is the same in all scans. Let it be z standard deviations in range and bearing:
 each z gives a number n, and the expectation is also taken over z (Gauss-Hermite quadrature).
 
@@ -219,7 +220,9 @@ def map_states(
     moved = {j for j, (_, _, p) in found.items() if p > 0.5}
     places = {**known, **{j: solution.landmarks[j] for j in seen if j not in moved and j in solution.landmarks}}
     views = _views(solution, known, places, log)
-    gone = _gone([views[j] for j in sorted(seen) if j not in moved], prior)
+    gone = _gone(
+        [views[j] for j in sorted(seen) if j not in moved], [views[j].counts for j in known if j not in found], prior
+    )
     count = dict(zip(ids, counts))
     states = [LandmarkState(j, NEW, 1.0, seen=count[j]) for j in ids if j not in known]
     for j in known:
@@ -409,10 +412,12 @@ def _views(solution: Solution, known: LandmarkMap, places: Mapping[int, Array], 
     return found
 
 
-def _gone(there: list[_Views], prior: float) -> Callable[[np.ndarray], float]:
+def _gone(there: list[_Views], unseen: list[np.ndarray], prior: float) -> Callable[[np.ndarray], float]:
     """The probability that a landmark is gone that was not seen in any of so many scans, for all errors of `_Views`.
 
-    The beta distributions of `_MEANS` and `_SIZES` are averaged with their likelihoods by the landmarks that are ``there``.
+    The beta distributions of `_MEANS` and `_SIZES` are averaged with their likelihoods by the landmarks that are ``there``,
+    and by those that were not seen, with their numbers of scans, which are gone or there: where many were not seen, more of
+    them are hidden than gone.
     """
     from scipy.special import betainc
 
@@ -426,11 +431,13 @@ def _gone(there: list[_Views], prior: float) -> Callable[[np.ndarray], float]:
         log_likelihood += np.log1p(-views.inside[counted & ~views.seen, None] * d).sum(axis=0)
         most = np.max(log_likelihood)
         weight += np.log(shares @ np.exp(log_likelihood - most) + 1e-300) + most
+    for counts in unseen:
+        weight += np.log(prior + (1 - prior) * (shares @ (_SHARES @ (1 - d) ** counts[:, None])))
     weight = np.exp(weight - np.max(weight))
     mixed = (weight / weight.sum()) @ shares
 
     def probability(counts: np.ndarray) -> float:
-        unseen = float(mixed @ (_SHARES @ (1 - d) ** counts[:, None]))
-        return prior / (prior + (1 - prior) * unseen)
+        missed = float(mixed @ (_SHARES @ (1 - d) ** counts[:, None]))
+        return prior / (prior + (1 - prior) * missed)
 
     return probability

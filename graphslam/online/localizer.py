@@ -150,6 +150,10 @@ class Localizer:
         for left_out in (True, False):
             if moved := {j: size for j, size in self._moved.items() if (j not in self._declared) == left_out}:
                 lost += (said_of_moved(moved, max(moved.values()), left_out=left_out),)
+        for pose in sorted(set(self.fixes) - {0}):
+            lost += (
+                f"the robot was lifted before pose {pose}, and poses from there on are where the map has its sightings",
+            )
         if self.tracker is None and len(self._rows) >= FIRST_CHECK:
             known = sum(j in self._landmarks for _, j, _ in self._rows)
             lost += (

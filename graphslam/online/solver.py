@@ -156,11 +156,13 @@ class OnlineSolver:
         if dt is None and time is not None and np.isfinite(self._arrived):
             dt = time - self._arrived
         if control is not None:
-            check_positive(dt=dt)  # type: ignore[arg-type]
+            if dt is None:
+                raise OptionError("a control needs dt, or the times of this pose and of the one before")
+            check_positive(dt=dt)
             u = finite_numbers("control", control, (2,))
             check_turn_rate(float(u[1]))
             # a motion beyond floating point has no inverse covariance, and is refused for that
-            measured, P = self.motion.moved(u, float(dt))  # type: ignore[arg-type]
+            measured, P = self.motion.moved(u, float(dt))
             information = inverses(P[None], "motion", "raise epsilon")[0]
         else:
             measured, information = checked_pose("motion", motion), information_of(covariance)

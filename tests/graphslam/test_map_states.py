@@ -19,7 +19,7 @@ from graphslam import (
     simulate,
     solve,
 )
-from graphslam.association.map_states import EXACT_STD, MOVE, TURN, map_states, session_states
+from graphslam.association.map_states import EXACT_STD, MOVE, TURN, _gone, _Views, map_states, session_states
 from graphslam.log import UNIDENTIFIED
 from graphslam.log.measurements import PartialSightings
 
@@ -223,3 +223,10 @@ def test_ranges_alone_show_where_a_landmark_is(part, shift):
     # at 99 %; ranges alone leave one direction open
     assert (part == 1 or np.hypot(*(state.shift - [shift, 0.0])) < 0.6) and (state.chi_square < 9.2) == (shift == 0)
     assert len(found.of("moved")) == (shift > 0) and not found.of("vanished")
+
+
+def test_where_many_landmarks_are_never_seen_they_are_hidden_and_not_gone():
+    """Tags that show from one side only: a fifth of those that were not seen and are there counted as gone."""
+    seen = [_Views(np.ones(12), np.full(81, 12), np.arange(12) < count) for count in (3, 5, 6, 7, 8, 9, 10, 11, 12, 12)]
+    one, many = (_gone(seen, [np.full(81, 12)] * count, prior=0.05) for count in (1, 8))
+    assert one(np.full(81, 12)) > 0.5 > 0.3 > many(np.full(81, 12))

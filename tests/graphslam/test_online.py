@@ -167,6 +167,24 @@ def test_standard_deviations_are_within_2_percent_of_the_batch_solution(orientat
         np.testing.assert_array_equal(np.diag(last.covariance(last.step, list(last.landmarks), joint=True)), found)
 
 
+def test_standard_deviations_of_a_long_way_without_closures_are_those_of_the_batch_solution():
+    """Errors of the linearisation of all edges add up there; they made standard deviations 10 % wrong."""
+    noise = {
+        "motion": MotionModel(nn=0.05, no=0.002, on=0.02, oo=0.03),
+        "sensor": SensorModel(range_rate=0.03, bearing_std=0.01),
+    }
+    turns = np.random.default_rng(3).uniform(0, 2 * np.pi, 60)
+    places = np.column_stack([42 * np.sin(turns), 42 - 42 * np.cos(turns)])
+    circle = {"speed": 1.0, "turn_rate": 1 / 40, "dt": 0.5, "steps": 450, "start": (0.0, 0.0, 0.0), "landmarks": places}
+    log = simulate(seed=3, clean=True, orientation=False, max_range=8.0, **noise, **circle)
+    options = {"edges": "landmark+motion", "kernel": "none", **noise}
+    for estimate in replay(Graph.from_log(log, **options)):
+        if estimate.step in (399, 449):
+            batch = solve(Graph.from_log(log.at_steps(np.arange(estimate.step + 1)), **options))
+            ratios = np.diag(estimate.covariance()) / np.diag(batch.covariance(estimate.step))
+            np.testing.assert_allclose(np.sqrt(ratios), 1, atol=5e-3)
+
+
 def test_steps_converge_with_a_covariance_after_each():
     """What a covariance takes out of the factor, the next step puts back where it needs it."""
     log = small_log(3, orientation=False)

@@ -240,6 +240,7 @@ def test_late_sightings_find_a_robot_and_notice_that_it_was_lifted(with_ids):
     assert driven(log if with_ids else unnamed(log), solver, late=2) is not None
     assert np.hypot(*(solver.poses - true)[:, :2].T).max() < 0.5
     assert solver.integrity_risk(1.0) < 0.01
+    assert [note for note in solver.notes if "the robot was lifted before pose " in note]
 
 
 def test_in_a_map_an_id_of_minus_one_is_none():
