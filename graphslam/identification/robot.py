@@ -358,7 +358,7 @@ def _local(
         start.odometry = Odometry(noisier)
         return fit(Unknowns(noisier, episodes, sensor, start), ROUNDS[1])[0]
 
-    local, log, slips, _ = without_slips(local, log, slip_of_drive, again)
+    local, log, slips, _ = without_slips(local, log, slip_of_drive, again, gain_over)
     local, log, more = without_contradicted(local, log, again, MOST_SLIPS - len(slips))
     slips += more
     doubtful = alone.copy()

@@ -73,7 +73,7 @@ def test_wheels_that_read_zero_while_the_robot_moves(seed, monkeypatch):
     monkeypatch.setattr(
         "graphslam.identification.robot.without_contradicted", lambda solved, log, *_: (solved, log, ())
     )
-    assert ate(log.true_poses, solve(Graph.from_log(estimate_robot(log).log)).poses) > 3 * ate(
+    assert ate(log.true_poses, solve(Graph.from_log(estimate_robot(log).log)).poses) > 5 * ate(
         log.true_poses, solution.poses
     )
 
@@ -184,7 +184,7 @@ def test_a_slip_has_the_error_as_its_standard_deviation():
 
 
 @pytest.mark.parametrize("seed", [4, 5])
-def test_a_slip_that_the_weights_make_small_is_found_by_the_contradictions(seed, monkeypatch):
+def test_a_slip_that_the_weights_make_small_is_found_by_the_likelihood(seed, monkeypatch):
     robot = Drive(
         seed=seed,
         duration=120.0,
@@ -199,9 +199,8 @@ def test_a_slip_that_the_weights_make_small_is_found_by_the_contradictions(seed,
     controls[(ends > 60.0) & (ends <= 62.5), 0] *= 1.8
     log = log.replace(controls=controls)
     log = log.replace(initial_poses=log.dead_reckoning())
-    robot = estimate_robot(log)
-    (slip,) = robot.slips
-    assert slip.begin < 62.5 and slip.end > 60.0
-    assert ate(log.true_poses, solve(Graph.from_log(robot.log)).poses) < 0.1
+    (slip,) = estimate_robot(log).slips
+    assert slip.z < slips.SLIPPED and slip.begin < 62.5 and slip.end > 60.0
+    monkeypatch.setattr(slips, "SUSPECTED", slips.SLIPPED)
     monkeypatch.setattr(slips, "contradicted", lambda _: None)
     assert not estimate_robot(log).slips
