@@ -139,7 +139,8 @@ def _born(problem: Problem, world: Places, labels: np.ndarray) -> np.ndarray:
     labels, rows, d = labels.copy(), np.flatnonzero(labels < 0), world.means.shape[1]
     y, C = np.full((len(rows), 3), np.nan), np.zeros((len(rows), 3, 3))
     y[:, :d], C[:, :d, :d] = world.means[rows], world.covariances[rows]
-    found = merged(y, C, np.zeros_like(C), problem.log.steps[rows], float(gates(problem.options.gate, 2, 1)[1]))
+    gate = float(gates(problem.options.gate, d, 1)[1])
+    found = merged(y, C, np.zeros_like(C), problem.log.steps[rows], gate, compared=d)
     labels[rows] = np.where(found.counts[found.which] > 1, labels.max() + 1 + found.which, -1)
     return labels
 
