@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import GraphError
+from ..maps.constellation import merged
 from ..se2 import Array, difference
 from .ambiguity import Alternative, all_alternatives
 from .assignment import Visibility, assign, disjoint, evidence, gates, log_density, log_volume, merges
@@ -135,30 +136,12 @@ def assigned(problem: Problem, world: Places, solution: MapSolution) -> tuple[np
 
 def _born(problem: Problem, world: Places, labels: np.ndarray) -> np.ndarray:
     """The labels with new ones for sightings that none has, but that agree with each other."""
-    d, steps = world.means.shape[1], problem.log.steps
+    labels, rows, d = labels.copy(), np.flatnonzero(labels < 0), world.means.shape[1]
+    y, C = np.full((len(rows), 3), np.nan), np.zeros((len(rows), 3, 3))
+    y[:, :d], C[:, :d, :d] = world.means[rows], world.covariances[rows]
     gate = float(gates(problem.options.gate, d, 1)[1])
-    labels, rows = labels.copy(), np.flatnonzero(labels < 0)
-    if len(rows) < 2:
-        return labels
-    means, information, spread = np.zeros((len(rows), d)), np.zeros((len(rows), d, d)), np.zeros((len(rows), d, d))
-    reach = np.sqrt(2 * gate * np.linalg.norm(world.covariances[rows][:, :2, :2], 2, axis=(1, 2)))
-    reach += reach.max()
-    last, number, count = np.full(len(rows), -1), np.full(len(rows), -1), 0
-    for n, k in enumerate(rows):
-        away = np.abs(world.means[k, :2] - means[:count, :2]).max(axis=1)
-        near = np.flatnonzero((away <= reach[n]) & (last[:count] != steps[k]))
-        squares = log_density(difference(world.means[k], means[near]), world.covariances[k] + spread[near])[1]
-        if squares.min(initial=np.inf) <= gate:
-            best = int(near[np.argmin(squares)])
-        else:
-            best, count = count, count + 1
-        own = np.linalg.inv(world.covariances[k])
-        total = information[best] + own
-        step = np.linalg.solve(total, own @ difference(world.means[k], means[best]))
-        means[best] = difference(means[best] + step, np.zeros(d))
-        information[best], spread[best], last[best], number[n] = total, np.linalg.inv(total), steps[k], best
-    born = np.bincount(number, minlength=count) >= 2
-    labels[rows] = np.where(born[number], labels.max() + 1 + number, -1)
+    found = merged(y, C, np.zeros_like(C), problem.log.steps[rows], gate, compared=d)
+    labels[rows] = np.where(found.counts[found.which] > 1, labels.max() + 1 + found.which, -1)
     return labels
 
 

@@ -108,25 +108,30 @@ class Merged:
     which: np.ndarray
 
 
-def merged(y: Array, sensed: Array, drift: Array, steps: np.ndarray) -> Merged:
+def merged(y: Array, sensed: Array, drift: Array, steps: np.ndarray, gate: float = GATE, compared: int = 2) -> Merged:
     """Sightings (M, 3), headings NaN where unknown, as landmarks: each belongs to the nearest one that it fits, or is new.
 
     Args:
         y: places.
         sensed, drift: (M, 3, 3) their covariances by the sensor, and by the odometry since the first pose.
         steps: (M,) at which they were seen; two sightings of one step are two landmarks.
+        gate: the squared Mahalanobis distance up to which one fits.
+        compared: of how many coordinates; the headings are known where it is 3.
     """
     d = 3 if np.isfinite(y[:, 2]).all() else 2
+    # the trace is no less than the largest variance in any direction
+    spread = np.trace((sensed + drift)[:, :2, :2], axis1=1, axis2=2)
+    reach = np.sqrt(gate * (spread + np.trace(sensed[:, :2, :2], axis1=1, axis2=2).max(initial=0.0)))
     means, information, W = np.zeros((len(y), d)), np.zeros((len(y), d, d)), np.linalg.inv(sensed[:, :d, :d])
     # of each landmark its first sighting, and the step of its last one
     first, last, which, count = np.zeros(len(y), dtype=int), np.full(len(y), -1), np.zeros(len(y), dtype=int), 0
     for k in range(len(y)):
-        off = y[k, :2] - means[:count, :2]
-        near = np.flatnonzero((np.abs(off).sum(axis=1) <= 5.0) & (last[:count] != steps[k]))
-        off, since = off[near], drift[k, :2, :2] - drift[first[near], :2, :2]
-        V = sensed[k, :2, :2] + np.linalg.inv(information[near])[:, :2, :2] + since
+        off = difference(y[k, :compared], means[:count, :compared])
+        near = np.flatnonzero((np.abs(off[:, :2]).max(axis=1) <= reach[k]) & (last[:count] != steps[k]))
+        off, since = off[near], (drift[k] - drift[first[near]])[:, :compared, :compared]
+        V = sensed[k, :compared, :compared] + np.linalg.inv(information[near])[:, :compared, :compared] + since
         squares = np.einsum("ci,ci->c", off, np.linalg.solve(V, off[:, :, None])[:, :, 0])
-        if squares.min(initial=np.inf) < GATE:
+        if squares.min(initial=np.inf) < gate:
             c = int(near[np.argmin(squares)])
         else:
             c, count = count, count + 1

@@ -41,8 +41,6 @@ log_sum: Any = np.logaddexp.reduce
 FREEDOM = 8
 #: the most sightings that are weighed together
 ENOUGH = 120
-#: squared distance from the other sightings of its landmark beyond which one is left out; 0.1 % of right ones lie beyond it
-APART = 13.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,9 +85,7 @@ def weighed(points: Points, match: Match, noise: Callable[[np.ndarray], Array], 
     rows = rows[evenly(len(rows), ENOUGH)]
     if not len(rows):
         return None
-    rows, y, Y = _merged(points, rows, which, noise)
-    if not len(rows):
-        return None
+    y, Y = _merged(points, rows, which, noise)
     kept = np.unique(which[rows])
     first = np.array([np.flatnonzero(which == j)[0] for j in kept])
     local = replace(points.among(first), measured=y)
@@ -134,40 +130,23 @@ def _without(fit: _Fit, points: Points) -> Array:
 
 def _merged(
     points: Points, rows: np.ndarray, which: np.ndarray, noise: Callable[[np.ndarray], Array]
-) -> tuple[np.ndarray, Array, Array]:
-    """The rows (k,) that agree with the others of their landmark, the places (n, 3) of landmarks, and Y (n, n, 3, 3)."""
-    known = points.known[rows]
-    W = np.linalg.inv(padded(noise(rows), known)).reshape(len(rows), 3, len(rows), 3)
-    while len(rows):
-        ids, first, number = np.unique(which[rows], return_index=True, return_inverse=True)
-        known = points.known[rows]
-        y = np.where(known, points.measured[rows], 0.0)
-        # headings without a jump of a turn
-        y[:, 2] = y[first[number], 2] + wrap(y[:, 2] - y[first[number], 2])
-        # W G and G' W G are sums over the sightings of each landmark
-        order = np.argsort(number, kind="stable")
-        starts = np.searchsorted(number[order], np.arange(len(ids)))
-        WG = np.add.reduceat(W[:, :, order] * known[order], starts, axis=2)
-        GWG = np.add.reduceat(WG[order] * known[order][:, :, None, None], starts, axis=0)
-        size = 3 * len(ids)
-        Y = np.linalg.inv(GWG.reshape(size, size) + np.diag((~known[first]).ravel().astype(float)))
-        means = (Y @ np.einsum("kinj,ki->nj", WG, y).ravel()).reshape(-1, 3)
-        each, by_row = np.arange(len(rows)), WG.reshape(len(rows), 3, size)
-        M = W[each, :, each] - by_row @ Y @ np.swapaxes(by_row, 1, 2)
-        r = np.einsum("kilj,lj->ki", W, y - means[number] * known)
-        alone = np.bincount(number)[number] == 1
-        squares = np.einsum("ki,kij,kj->k", r, np.linalg.pinv(M), r)
-        worst = np.zeros(len(ids))
-        np.maximum.at(worst, number, np.where(alone, 0.0, squares))
-        out = (squares > APART) & (squares > 0.999 * worst[number]) & ~alone
-        if not out.any():
-            places = np.where(known[first], means, np.nan)
-            return rows, places, Y.reshape(len(ids), 3, len(ids), 3).transpose(0, 2, 1, 3)
-        # the inverse of what remains of V
-        left, gone = W[~out][:, :, ~out], W[out][:, :, ~out].reshape(3 * out.sum(), -1)
-        less = gone.T @ np.linalg.solve(W[out][:, :, out].reshape(3 * out.sum(), -1), gone)
-        rows, W = rows[~out], left - less.reshape(left.shape)
-    return rows, np.zeros((0, 3)), np.zeros((0, 0, 3, 3))
+) -> tuple[Array, Array]:
+    """The places (n, 3) of the landmarks of some rows (k,), and Y (n, n, 3, 3)."""
+    known, k = points.known[rows], len(rows)
+    W = np.linalg.inv(padded(noise(rows), known)).reshape(k, 3, k, 3)
+    ids, first, number = np.unique(which[rows], return_index=True, return_inverse=True)
+    y = np.where(known, points.measured[rows], 0.0)
+    # headings without a jump of a turn
+    y[:, 2] = y[first[number], 2] + wrap(y[:, 2] - y[first[number], 2])
+    # W G and G' W G are sums over the sightings of each landmark
+    order = np.argsort(number, kind="stable")
+    starts = np.searchsorted(number[order], np.arange(len(ids)))
+    WG = np.add.reduceat(W[:, :, order] * known[order], starts, axis=2)
+    GWG = np.add.reduceat(WG[order] * known[order][:, :, None, None], starts, axis=0)
+    size = 3 * len(ids)
+    Y = np.linalg.inv(GWG.reshape(size, size) + np.diag((~known[first]).ravel().astype(float)))
+    means = (Y @ np.einsum("kinj,ki->nj", WG, y).ravel()).reshape(-1, 3)
+    return np.where(known[first], means, np.nan), Y.reshape(len(ids), 3, len(ids), 3).transpose(0, 2, 1, 3)
 
 
 def _fit(points: Points, pose: Array, Y: Array, S: Array) -> _Fit | None:

@@ -91,6 +91,12 @@ def test_sightings_of_one_landmark_are_merged():
         assert np.allclose(seen.covariances[k, :2, :2], 0.01 / 6 * np.eye(2))
 
 
+def test_landmarks_at_one_place_that_face_other_ways_are_merged_by_places_alone():
+    y, C = np.array([[3.0, 0.0, 0.0], [3.0, 0.01, 2.0]]), np.tile(0.01 * np.eye(3), (2, 1, 1))
+    for compared, count in ((2, 1), (3, 2)):
+        assert len(merged(y, C, np.zeros_like(C), np.arange(2), compared=compared).counts) == count
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_the_first_fix_without_ids_is_that_with_them(seed):
     log = elsewhere(10 + seed, (4.0 * seed - 4, 3.0, 2.0 * seed))
