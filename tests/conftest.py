@@ -8,9 +8,10 @@ import os
 # matrices of 400 rows take 2 to 6 times the processor time
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import gc
 import random
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import hypothesis
@@ -31,6 +32,17 @@ DATA = Path(os.environ.get("SLAM_DATA", Path(__file__).parents[2] / "shared" / "
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--one-in", type=int, default=1, metavar="N", help="of the tests of the night only one in N")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Collecting garbage visits no module and no test: the 340,000 objects of theirs took a tenth of the processor time."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.hookimpl(trylast=True)

@@ -389,7 +389,7 @@ def misread() -> Robot:
     return log, estimate_robot(log)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_noise_file_of_the_robot_corrects_misread_ids(tmp_path: Path, misread: Robot) -> None:
     """The noise of one drive is used for another one, whose ids are misread as often."""
     write_noise(Calibration.of(misread[1]), tmp_path / "noise.toml", "first")

@@ -32,9 +32,15 @@ def test_the_command_line_imports_nothing_heavy() -> None:
 
 
 @pytest.mark.slow
-def test_a_run_of_the_graph_imports_no_special_functions(tmp_path: Path) -> None:
-    work = "from comparisons import run; run(estimators='graph').save('.')"
-    code = f"import sys; {work}; sys.exit('scipy.special' in sys.modules)"
+def test_a_run_of_the_graph_imports_no_special_functions_and_figures_no_pyplot(tmp_path: Path) -> None:
+    code = """if True:
+        import sys
+        from comparisons import run
+        run(estimators="graph").save(".")
+        assert "scipy.special" not in sys.modules
+        import comparisons.show.figures, comparisons.show.studies, comparisons.show.films, comparisons.show.report
+        assert "matplotlib.pyplot" not in sys.modules
+    """
     subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)})
 
 

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import subprocess
-import sys
 import warnings
 from dataclasses import replace
 from importlib import import_module
@@ -330,13 +328,6 @@ def test_matplotlib_is_left_as_it_was(comparison: Comparison) -> None:
     before = dict(matplotlib.rcParams)
     comparison_figure(comparison)
     assert dict(matplotlib.rcParams) == before
-
-
-@pytest.mark.slow
-def test_pyplot_is_never_imported() -> None:
-    modules = "comparisons.show.figures, comparisons.show.studies, comparisons.show.films, comparisons.show.report"
-    code = f"import sys, {modules}; assert 'matplotlib.pyplot' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])
 
 
 def test_the_sightings_are_those_of_an_estimate_and_not_of_dead_reckoning(log: Log) -> None:

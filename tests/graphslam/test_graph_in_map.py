@@ -294,7 +294,7 @@ def test_a_map_needs_landmark_nodes_motions_and_ids():
 @pytest.mark.parametrize("name", ["bearing_bias", "range_scale", "sensor_ahead", "wheel_scale"])
 @pytest.mark.parametrize("method", [solve, solve_with_gtsam])
 def test_an_exact_map_tells_the_parameters_of_the_robot(name, method):
-    log = simulate(seed=1, steps=40, clean=True)
+    log = simulate(seed=1, steps=20, clean=True)
     log = log.replace(sightings=log.sightings + [0, 0.1, 0.1])
     flat = {j: m[:2] for j, m in log.true_landmarks.items()}
     nearly = LandmarkMap(flat, dict.fromkeys(flat, 1e-9 * np.eye(2)))

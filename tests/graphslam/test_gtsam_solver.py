@@ -228,7 +228,7 @@ def test_an_edge_without_heading_information_is_named(tmp_path):
 
 @pytest.mark.parametrize("options", [{"frame": "world"}, {"edges": "landmark+motion"}, {"estimate": ["bearing_bias"]}])
 def test_headings_may_count_many_turns(options):
-    log = simulate(seed=1, steps=30, clean=True)
+    log = simulate(seed=1, steps=12, clean=True)
     log = log.replace(initial_poses=log.initial_poses + [0, 0, 10 * np.pi])
     graph = Graph.from_log(log, **({"edges": "virtual+motion", "weight": "marginal", "dimensions": 2} | options))
     assert solve_with_gtsam(graph).cost == pytest.approx(solve(graph).cost, rel=1e-6)

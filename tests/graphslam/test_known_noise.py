@@ -67,7 +67,7 @@ def test_a_map_tells_the_biases_that_a_log_hardly_does_and_not_those_of_a_wrong_
     assert larger.parameters["wheel_scale"] == alone.parameters["wheel_scale"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_log_without_ids_of_wheels_with_biases_is_found_in_a_map() -> None:
     """No part of the book's noise fitted it: 3 of 4 such drives had no place in their map, where `run` found one."""
     log, _ = Drive(
@@ -80,7 +80,7 @@ def test_a_log_without_ids_of_wheels_with_biases_is_found_in_a_map() -> None:
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.06
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_false_lift_does_not_keep_the_biases_from_the_map() -> None:
     """3 mm of the bias of ranges were a lift for a nearly exact robot, and no biases were found (NEES/3 66, now 0.9)."""
     drive = Drive.random(109)

@@ -396,14 +396,14 @@ def test_another_thread_reads_while_the_solver_steps() -> None:
     reader.start()
     rng = np.random.default_rng(0)
     try:
-        for _ in range(300):
+        for _ in range(100):
             ids = rng.choice(60, 4, replace=False)
             seen = np.column_stack([rng.uniform(1, 8, 4), rng.uniform(-3, 3, 4)])
             step(solver, (0.5, 0.1), 1.0, ids=ids, sightings=seen)
     finally:
         done.set()
         reader.join()
-    assert solver.step == 300 and reads
+    assert solver.step == 100 and reads
 
 
 def test_the_engine_refuses_nodes_that_do_not_exist() -> None:
