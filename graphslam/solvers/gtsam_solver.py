@@ -112,6 +112,7 @@ def _of_family(graph: Graph, family: edges.EdgeFamily, nodes: Array, key: int) -
     parameters, unmoved = graph.estimated, repeat(None)
     ends: tuple[Iterable[Any], ...]
     if isinstance(family, edges.SightingEdges):
+        assert isinstance(family, (edges.ObservationEdges, edges.LandmarkSightings))
         pose = family.first if isinstance(family, edges.ObservationEdges) else family.nodes
         # the moves are in the axes of poses, and are turned into those of the world
         X = turn_matrix(nodes[pose, 2]) @ moves(parameters, family.predicted(nodes), controls_of(graph))
@@ -119,10 +120,11 @@ def _of_family(graph: Graph, family: edges.EdgeFamily, nodes: Array, key: int) -
         a, b, _ = family.pairs()
         bases, ends = factors_of(family, graph, nodes, "per-edge"), (nodes[pose[a]], nodes[pose[b]], X[a], X[b])
     elif isinstance(family, edges.SightingEdges):
-        assert isinstance(family, (edges.MarginalEdges, edges.CartesianObservationEdges))
-        eliminated = isinstance(family, edges.MarginalEdges)
-        landmark = graph.num_nodes + family.group if eliminated else family.second
-        places = family.landmarks(nodes, nodes)[family.group] if eliminated else nodes[family.second]
+        if isinstance(family, edges.MarginalEdges):
+            landmark, places = graph.num_nodes + family.group, family.landmarks(nodes, nodes)[family.group]
+        else:
+            assert isinstance(family, edges.CartesianObservationEdges)
+            landmark, places = family.second, nodes[family.second]
         bases = inverse_observations(family, pose, landmark, nodes)
         ends = nodes[pose], places[:, : family.sightings.shape[1]], X, unmoved
     elif isinstance(family, edges.RelativePoseEdges) and not isinstance(family, edges.RelationEdges):

@@ -460,7 +460,7 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
     if not (of_frame := _found("", doubt_of_frame, graph, solution.state)):
         solution, of_map = contradictions.in_doubted_map(solution, again if graph.reweighted else None)
         notes += of_map
-    solution, of_odometry = _found((solution, ()), contradictions.without_slips_of, solution, again)
+    solution, of_odometry = _found((solution, tuple[str, ...]()), contradictions.without_slips_of, solution, again)
     solution, lasting = _found((solution, ""), with_lasting_errors, solution, again)
     graph = solution._solved_graph
     of_positions = of_frame or _found("", doubt_of_positions, graph, solution.state, lasting=bool(lasting))
