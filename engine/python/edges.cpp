@@ -268,8 +268,6 @@ void bind_kernels(nb::module_& m) {
     m.def("robust_weight", [each](int code, double width, In<double> squares) {
         return each(squares, [kernel = kernel_of(code, width)](double r2) { return kernel.weight(r2); });
     });
-    m.def("robust_expectations",
-          [](int code, double width, int dimension) { return expectations(kernel_of(code, width), dimension); });
 }
 
 void bind(nb::module_& m) {

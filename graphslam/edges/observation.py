@@ -71,10 +71,6 @@ class ObservationEdges(PairEdges, SightingEdges):
     def predicted(self, state: Array) -> Array:
         return self.sensor.h(state[self.first], state[self.second][:, : self.dimension])
 
-    @property
-    def numbers(self) -> tuple[int, float]:
-        return self.sightings.size, float(self.sightings.shape[1] * np.sum(self.trusted))
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CartesianObservationEdges(ObservationEdges, FramedEdges):

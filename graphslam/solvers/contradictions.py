@@ -329,10 +329,7 @@ def doubt_of_relations(graph: Graph, state: Array) -> str:
     count = sum(family.count for family in graph.families if isinstance(family, RelationEdges))
     if graph.log is None or graph.parameters is not None or count < FEWEST_CHECKED:
         return ""
-    try:
-        ratio = misfit_of_edges(graph, state, RelationEdges)
-    except (FactorizationError, GraphError, np.linalg.LinAlgError):
-        return ""
+    ratio = misfit_of_edges(graph, state, RelationEdges)
     if ratio == 0 or 1 / MISJUDGED <= ratio <= MISJUDGED:
         return ""
     return (
@@ -363,30 +360,27 @@ def without_slips_of(solution: Solution, again: Callable[[Graph], Solution] | No
     graph = solution.graph
     if graph is None or graph.log is None or _tested_motions(graph) is None:
         return solution, ()
-    try:
-        if again is None or graph.parameters is not None:
-            slip, usual = _largest_slip(solution, SUSPECTED)
-            found = slip is not None and slip.z > SLIPPED * max(1.0, usual)
-            return solution, (slip.sentence(graph.log, corrected=False),) if slip is not None and found else ()
+    if again is None or graph.parameters is not None:
+        slip, usual = _largest_slip(solution, SUSPECTED)
+        found = slip is not None and slip.z > SLIPPED * max(1.0, usual)
+        return solution, (slip.sentence(graph.log, corrected=False),) if slip is not None and found else ()
 
-        def solved(before: Solution, noisier: Log) -> Solution | None:
-            assert before.graph is not None
-            after = again(_with_controls(before.graph, noisier, before.state))
-            if not after.converged or after.graph is None:
-                raise GraphError(f"{noisier.name}: there is no solution without the slip")
-            ratios = [each.cost / max(each.graph.expected_cost, 1.0) for each in (before, after) if each.graph]
-            if ratios[0] > MISFIT and ratios[1] - 1 > (1 - EXPLAINED) * (ratios[0] - 1):
-                # other measurements are wrong
-                return None
-            return replace(after, seconds=before.seconds + after.seconds)
+    def solved(before: Solution, noisier: Log) -> Solution | None:
+        assert before.graph is not None
+        after = again(_with_controls(before.graph, noisier, before.state))
+        if not after.converged or after.graph is None:
+            raise GraphError(f"{noisier.name}: there is no solution without the slip")
+        ratios = [each.cost / max(each.graph.expected_cost, 1.0) for each in (before, after) if each.graph]
+        if ratios[0] > MISFIT and ratios[1] - 1 > (1 - EXPLAINED) * (ratios[0] - 1):
+            # other measurements are wrong
+            return None
+        return replace(after, seconds=before.seconds + after.seconds)
 
-        first = solution
-        solution, log, slips, left = without_slips(
-            solution, graph.log, lambda each: _largest_slip(each, SUSPECTED if each is first else 0.0), solved,
-            limit=SLIPPED_GIVEN if graph.log.uncertain is None else SLIPPED,
-        )  # fmt: skip
-    except (FactorizationError, np.linalg.LinAlgError):
-        return solution, ()
+    first = solution
+    solution, log, slips, left = without_slips(
+        solution, graph.log, lambda each: _largest_slip(each, SUSPECTED if each is first else 0.0), solved,
+        limit=SLIPPED_GIVEN if graph.log.uncertain is None else SLIPPED,
+    )  # fmt: skip
     sentences = [slip.sentence(log) for slip in slips]
     sentences += [left.sentence(log, corrected=False)] if left is not None else []
     return solution, tuple(sentences)

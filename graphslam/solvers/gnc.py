@@ -268,14 +268,10 @@ def _from_kernel(doubts: _Doubts, initialize: str) -> Trusted:
     """
     robust = doubts.graph.with_changed(edges.DoubtedEdges, lambda f: replace(f, kernel=Cauchy()))
     start = minimize(robust, initialize, rough(robust)).state
-    squares = []
-    for family in doubts.graph.families:
-        if isinstance(family, edges.DoubtedEdges):
-            linear = family.linearize(start, start)
-            r2 = np.einsum("ei,eij,ej->e", linear.residuals, linear.information, linear.residuals)
-            squares.append(r2 <= doubts.limit(family.dimension))
+    doubted = (family for family in doubts.graph.families if isinstance(family, edges.DoubtedEdges))
+    near = [f.linearize(start, start).mahalanobis <= doubts.limit(f.dimension) for f in doubted]
     # means of all sightings of a landmark would not be where the kernel has it
-    rounds = doubts.rounds(start, np.concatenate(squares).astype(float))
+    rounds = doubts.rounds(start, np.concatenate(near).astype(float))
     rounds.judge(np.inf)
     rounds.settle()
     return replace(doubts.after(rounds), settled=True)

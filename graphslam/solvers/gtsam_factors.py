@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, pairwise
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -47,7 +48,7 @@ def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fa
     reference = without_turns(graph.initial if reference is None else reference)
     made = gtsam.NonlinearFactorGraph()
     joined, families = _joined(graph, reference) if factors == "fastest" else ([], graph.families)
-    each = (_factors_of(family, graph, reference, factors) for family in families)
+    each = (factors_of(family, graph, reference, factors) for family in families)
     for factor in chain(*each, joined, held_nodes(graph)):
         made.add(factor)
     return made
@@ -152,9 +153,8 @@ def _stacked(
         )  # fmt: skip
 
 
-def _factors_of(
-    family: edges.EdgeFamily, graph: Graph, reference: Array, factors: str
-) -> Iterator[gtsam.NonlinearFactor]:
+def factors_of(family: edges.EdgeFamily, graph: Graph, reference: Array, factors: str) -> Iterator[Any]:
+    """The factors of the edges of a family; the arguments are those of `to_gtsam`."""
     if isinstance(family, edges.PriorEdges):
         yield _prior_factor(graph, family.nodes, family.values, family.information, family.pivot)
     elif isinstance(family, edges.LandmarkPriors):
@@ -183,7 +183,7 @@ def _factors_of(
         for i, j, z, information in _rows(family.first, family.second, family.measured, family.weighed):
             yield factor_types.RelativePointFactor(i, j, z, information, kernel=kernel)
     elif isinstance(family, edges.CartesianObservationEdges):
-        yield from _inverse_observations(family, family.first, family.second, reference)
+        yield from inverse_observations(family, family.first, family.second, reference)
     elif isinstance(family, edges.PolarObservationEdges):
         for i, j, z, noisy, trust in _rows(family.first, family.second, *_seen(family)):
             factor = factor_types.ObservationFactor(
@@ -191,7 +191,7 @@ def _factors_of(
             )
             yield factor.fastest()
     elif isinstance(family, edges.MarginalEdges) and family.kernel is not None:
-        yield from _inverse_observations(family, family.nodes, graph.num_nodes + family.group, reference)
+        yield from inverse_observations(family, family.nodes, graph.num_nodes + family.group, reference)
     elif isinstance(family, edges.MarginalEdges):
         yield from _landmark_factors(family, reference, "marginal")
     elif isinstance(family, edges.VirtualMotionEdges) and family.kernel is None and factors == "fastest":
@@ -213,10 +213,11 @@ def _factors_of(
         raise GraphError(f"no gtsam factor is known for {type(family).__name__}")
 
 
-def _inverse_observations(
+def inverse_observations(
     family: edges.CartesianObservationEdges | edges.MarginalEdges, poses: np.ndarray, landmarks: np.ndarray,
     reference: Array,
 ) -> Iterator[factor_types.InverseObservationFactor]:  # fmt: skip
+    """The factors of sightings from poses (M,) of landmarks that are nodes (M,)."""
     for i, j, z, noisy, trust in _rows(poses, landmarks, *_seen(family)):
         yield factor_types.InverseObservationFactor(
             i, j, z, family.sensor,

@@ -14,9 +14,9 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
+from itertools import chain, repeat
 from typing import Any
 
 import gtsam
@@ -26,13 +26,22 @@ from .. import edges
 from .. import factors as factor_types
 from ..engine import engine
 from ..errors import GraphError, checks
-from ..factors.base import POSE, Factor, noise_model, turned, values_at
+from ..factors.base import POSE, Factor, turned, values_at
 from ..graph import Graph, check_graph
 from ..identification.corrections import corrected_controls, motion_slopes, moves
 from ..models import RANGE_NOISES
-from ..se2 import Array, difference, turn_matrix, turned_by, wrap
+from ..se2 import Array, difference, turn_matrix, wrap
 from .auto import DAMPED, best_end
-from .gtsam_factors import eliminated_landmarks, from_values, held_nodes, to_gtsam, to_values, without_turns
+from .gtsam_factors import (
+    eliminated_landmarks,
+    factors_of,
+    from_values,
+    held_nodes,
+    inverse_observations,
+    to_gtsam,
+    to_values,
+    without_turns,
+)
 from .initialize import image_notes, starting_state
 from .iteration import PROMISE, Run, rounding
 from .joint import JointGraph, controls_of
@@ -91,81 +100,50 @@ def _minimum(joint: JointGraph, state: Array, tolerance: float) -> Array:
 def _factors(graph: Graph, nodes: Array, key: int) -> gtsam.NonlinearFactorGraph:
     """All factors of a graph frozen at its nodes (n, 3), with the parameters at ``key``."""
     parameters, made = graph.estimated, gtsam.NonlinearFactorGraph()
-    for family in graph.families:
-        if isinstance(family, edges.SightingEdges):
-            for factor in _of_sightings(graph, family, nodes, key):
-                made.add(factor)
-        elif isinstance(family, edges.RelativePoseEdges) and not isinstance(family, edges.RelationEdges):
-            _, slopes = motion_slopes(parameters, corrected_controls(parameters))
-            behind = turn_matrix(nodes[family.first, 2]) @ -slopes
-            ends = zip(family.first.tolist(), family.second.tolist(), family.measured, family.information, behind)
-            for i, j, z, information, X in ends:
-                base = factor_types.RelativePoseFactor(i, j, z, information, frame=family.frame, at=nodes[i])
-                at, noise = (nodes[i], nodes[j]), base.noiseModel()
-                made.add(_factor_with_parameters(base, noise, key, at, (None, X), parameters.values))
-        else:
-            for factor in _plain(graph, family, nodes):
-                made.add(factor)
-    noise = gtsam.noiseModel.Diagonal.Precisions(parameters.weights)
-    made.add(gtsam.PriorFactorVector(key, parameters.means, noise))
-    for held in held_nodes(graph):
-        made.add(held)
+    prior = gtsam.PriorFactorVector(key, parameters.means, gtsam.noiseModel.Diagonal.Precisions(parameters.weights))
+    of_edges = (_of_family(graph, family, nodes, key) for family in graph.families)
+    for factor in chain(*of_edges, [prior], held_nodes(graph)):
+        made.add(factor)
     return made
 
 
-def _plain(graph: Graph, family: edges.EdgeFamily, nodes: Array) -> Iterator[gtsam.NonlinearFactor]:
-    """The factors of a family that the parameters do not touch."""
-    alone = to_gtsam(replace(graph, families=(family,), fixed=graph.fixed[:0]), nodes, factors="per-edge")
-    yield from (alone.at(k) for k in range(alone.size()))
-
-
-def _of_sightings(graph: Graph, family: edges.SightingEdges, nodes: Array, key: int) -> Iterator[gtsam.NonlinearFactor]:
-    """The factors of sightings, one for each edge."""
-    parameters = graph.estimated
-    z, noisy, trust, sensor = family.sightings, family.noisy, family.trusted.tolist(), family.sensor
-    # the moves are in the axes of poses, and are turned into those of the world
-    X = moves(parameters, family.predicted(nodes), controls_of(graph))
+def _of_family(graph: Graph, family: edges.EdgeFamily, nodes: Array, key: int) -> Iterator[gtsam.NonlinearFactor]:
+    """The factors of a family, one for each edge, with the parameters where these move what it measures."""
+    parameters, unmoved = graph.estimated, repeat(None)
+    ends: tuple[Iterable[Any], ...]
+    if isinstance(family, edges.SightingEdges):
+        assert isinstance(family, (edges.ObservationEdges, edges.LandmarkSightings))
+        pose = family.first if isinstance(family, edges.ObservationEdges) else family.nodes
+        # the moves are in the axes of poses, and are turned into those of the world
+        X = turn_matrix(nodes[pose, 2]) @ moves(parameters, family.predicted(nodes), controls_of(graph))
     if isinstance(family, edges.VirtualMotionEdges):
-        X = turn_matrix(nodes[family.nodes, 2]) @ X
-        a, b, group = family.pairs()
-        covariance = family.covariances(nodes)
-        for one, two, g in zip(a.tolist(), b.tolist(), group.tolist()):
-            i, j, tempering = int(family.nodes[one]), int(family.nodes[two]), float(family.group_weights[g])
-            ends = (nodes[i], nodes[j])
-            base = factor_types.VirtualMotionFactor(i, j, z[one], z[two], sensor, frame=family.frame, at=ends)
-            C = covariance[one] + covariance[two]
-            if family.frame == "body" and family.oriented:
-                # from the landmark's axes to those of the first sighting, which comes from direction psi
-                C = turned_by(C, -z[one, 2])
-            kernel = family.kernel and family.kernel.scaled(tempering)
-            noise = noise_model({"kernel": kernel, "scale": tempering * trust[one] * trust[two]}, covariance=C)
-            yield _factor_with_parameters(base, noise, key, ends, (X[one], X[two]), parameters.values)
-        return
-    if isinstance(family, edges.MarginalEdges):
-        first, second = family.nodes, graph.num_nodes + family.group
-        means, frame = family.landmarks(nodes, nodes), family.frame
-        landmarks = means[family.group]
+        a, b, _ = family.pairs()
+        bases, ends = factors_of(family, graph, nodes, "per-edge"), (nodes[pose[a]], nodes[pose[b]], X[a], X[b])
+    elif isinstance(family, edges.SightingEdges):
+        if isinstance(family, edges.MarginalEdges):
+            landmark, places = graph.num_nodes + family.group, family.landmarks(nodes, nodes)[family.group]
+        else:
+            assert isinstance(family, edges.CartesianObservationEdges)
+            landmark, places = family.second, nodes[family.second]
+        bases = inverse_observations(family, pose, landmark, nodes)
+        ends = nodes[pose], places[:, : family.sightings.shape[1]], X, unmoved
+    elif isinstance(family, edges.RelativePoseEdges) and not isinstance(family, edges.RelationEdges):
+        _, slopes = motion_slopes(parameters, corrected_controls(parameters))
+        bases, behind = factors_of(family, graph, nodes, "per-edge"), turn_matrix(nodes[family.first, 2]) @ -slopes
+        ends = nodes[family.first], nodes[family.second], unmoved, behind
     else:
-        assert isinstance(family, edges.CartesianObservationEdges)
-        first, second, frame = family.first, family.second, family.frame
-        landmarks = nodes[second]
-    X = turn_matrix(nodes[first, 2]) @ X
-    at_pose = nodes[first] if frame == "world" else np.zeros((len(z), 3))
-    covariance = sensor.landmark_covariance(at_pose, noisy)
-    d = z.shape[1]
-    for k, (i, j) in enumerate(zip(first.tolist(), second.tolist())):
-        other = factor_types.InverseObservationFactor(i, j, z[k], sensor, frame=frame, at=nodes[i])
-        noise = noise_model({"kernel": family.kernel, "scale": trust[k]}, covariance=covariance[k])
-        at = (nodes[i], landmarks[k][:d])
-        yield _factor_with_parameters(other, noise, key, at, (X[k], None), parameters.values)
+        yield from factors_of(family, graph, nodes, "per-edge")
+        return
+    for base, x_1, x_2, X_1, X_2 in zip(bases, *ends):
+        yield _factor_with_parameters(base, key, (x_1, x_2), (X_1, X_2), parameters.values)
 
 
 def _factor_with_parameters(
-    base: Factor, noise: gtsam.noiseModel.Base, key: int, at: Sequence[Array], X: Sequence[Array | None], values: Array
+    base: Factor, key: int, at: Sequence[Array], X: Sequence[Array | None], values: Array
 ) -> gtsam.CustomFactor:
     """A factor with the parameters at another key: e + J (p - p_0), J the sum of the Jacobians at ``at`` times X (3, K)."""
     residual, own, poses = base.residual, base.in_own_axes, [kind == POSE for kind in base.kinds]
-    _, jacobians_at = residual(*at)
+    (_, jacobians_at), noise = residual(*at), base.noiseModel()
     J, p_0 = np.zeros((noise.dim(), len(values))), np.array(values)
     for B, x, move in zip(jacobians_at, at, X):
         if move is not None:

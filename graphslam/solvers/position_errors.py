@@ -35,9 +35,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..edges import PositionEdges, SightingEdges
-from ..errors import GraphError
 from ..graph import Graph
-from ..linear.cholesky import Bordered, FactorizationError
+from ..linear.cholesky import Bordered
 from ..se2 import Array, turn_matrix
 from .contradictions import FEWEST_CHECKED, MISJUDGED, SIGNIFICANT, doubt_of_map, misfit_of_edges
 from .iteration import end_of, levenberg_marquardt
@@ -94,23 +93,20 @@ def with_lasting_errors(solution: Solution, again: Callable[[Graph], Solution] |
     squares = np.concatenate([f.linearize(solution.state, solution.state).mahalanobis for f in families])
     if np.median(squares) > OTHER_FRAME**2:
         return solution, ""
-    try:
-        m, n, part = lasting_errors(graph, solution.state)
-        if part < LITTLE:
-            return solution, (
-                f"the errors of absolute positions change from one to the next by {part**0.5:.2g} times what their "
-                "covariances say: either these are too large, or errors last, as those of satellite receivers do, which "
-                "odometry alone does not tell apart. If they last, covariances of poses are too small: compare with "
-                "sightings of landmarks"
-            )
-        if m < LEAST:
-            return solution, ""
-        if again is not None:
-            wider = again(replace(_wider(graph, solution.state, m), initial=solution.state.copy()))
-            if not wider.converged:
-                again = None
-    except (FactorizationError, GraphError, np.linalg.LinAlgError):
+    m, n, part = lasting_errors(graph, solution.state)
+    if part < LITTLE:
+        return solution, (
+            f"the errors of absolute positions change from one to the next by {part**0.5:.2g} times what their "
+            "covariances say: either these are too large, or errors last, as those of satellite receivers do, which "
+            "odometry alone does not tell apart. If they last, covariances of poses are too small: compare with "
+            "sightings of landmarks"
+        )
+    if m < LEAST:
         return solution, ""
+    if again is not None:
+        wider = again(replace(_wider(graph, solution.state, m), initial=solution.state.copy()))
+        if not wider.converged:
+            again = None
     step = float(np.median(np.diff(graph.log.times[graph.steps[np.unique(nodes)]])))
     text = (
         f"errors of absolute positions last for about {step / np.log1p(2 / max(n - 1, 0.1)):.2g} s, as those of satellite "
@@ -240,19 +236,16 @@ def doubt_of_frame(graph: Graph, state: Array) -> str:
     families = _checked(graph)
     if not families or not graph.map:
         return ""
-    try:
-        shift, S, rest, moved = _fitted(graph, families, state, in_world=True)
-        z = float(np.sqrt(shift @ S @ shift)) / rest
-        # where they, or the map, do not fit with it either, there is more than a shift
-        if not z > SIGNIFICANT or rest > MISJUDGED:
-            return ""
-        if doubt_of_map(moved, moved.initial, suspected=graph.reweighted)[0]:
-            return ""
-        # the mean of errors that last is no shift
-        z /= lasting_errors(moved, moved.initial, shifted=True)[0] ** 0.5 if _may_last(moved) else 1.0
-        lever, T, other, _ = _fitted(graph, families, state, in_world=False)
-    except (FactorizationError, GraphError, np.linalg.LinAlgError):
+    shift, S, rest, moved = _fitted(graph, families, state, in_world=True)
+    z = float(np.sqrt(shift @ S @ shift)) / rest
+    # where they, or the map, do not fit with it either, there is more than a shift
+    if not z > SIGNIFICANT or rest > MISJUDGED:
         return ""
+    if doubt_of_map(moved, moved.initial, suspected=graph.reweighted)[0]:
+        return ""
+    # the mean of errors that last is no shift
+    z /= lasting_errors(moved, moved.initial, shifted=True)[0] ** 0.5 if _may_last(moved) else 1.0
+    lever, T, other, _ = _fitted(graph, families, state, in_world=False)
     if not z > max(SIGNIFICANT, float(np.sqrt(lever @ T @ lever)) / other):
         return ""
     error = rest * np.linalg.eigvalsh(S)[0] ** -0.5
@@ -271,11 +264,8 @@ def doubt_of_positions(graph: Graph, state: Array, *, lasting: bool = False) -> 
     """
     if not (families := _checked(graph)):
         return ""
-    try:
-        lever, S, rest, _ = _fitted(graph, families, state, in_world=False)
-        ratio = misfit_of_edges(graph, state, PositionEdges)
-    except (FactorizationError, GraphError, np.linalg.LinAlgError):
-        return ""
+    lever, S, rest, _ = _fitted(graph, families, state, in_world=False)
+    ratio = misfit_of_edges(graph, state, PositionEdges)
     if np.sqrt(lever @ S @ lever) > SIGNIFICANT * rest and np.hypot(*lever) < FARTHEST:
         error = rest * np.linalg.eigvalsh(S)[0] ** -0.5
         return (

@@ -33,10 +33,8 @@ import numpy as np
 
 from .. import edges
 from ..edges.base import EngineEdges
-from ..errors import GraphError
 from ..graph import Graph
 from ..graph.defaults import on_an_arc
-from ..linear.cholesky import FactorizationError
 from ..se2 import Array, turn_matrix
 from .joint import motion_edges, sighted_edges
 
@@ -71,16 +69,13 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
     straight = isinstance(sighted_edges(graph), edges.CartesianObservationEdges)
     if (straight and graph.sensor is not None and on_an_arc(log, graph.sensor)) or not _suspected(graph, moved, state):
         return C, ""
-    try:
-        for k in range(ROUNDS):
-            theta, z, share = _of_scans(graph, moved, state, C)
-            if k == 0:
-                sure = (z > SURELY) & (share > SHARE)
-            if not sure.any():
-                return C, ""
-            C[AXES, AXES] = np.where(sure, np.maximum(theta, 0.0), 0.0)
-    except (FactorizationError, GraphError, np.linalg.LinAlgError):
-        return np.zeros((3, 3)), ""
+    for k in range(ROUNDS):
+        theta, z, share = _of_scans(graph, moved, state, C)
+        if k == 0:
+            sure = (z > SURELY) & (share > SHARE)
+        if not sure.any():
+            return C, ""
+        C[AXES, AXES] = np.where(sure, np.maximum(theta, 0.0), 0.0)
     sizes = {"m": C[0, 0] ** 0.5, "rad": C[2, 2] ** 0.5}
     size = ", ".join(f"{value:.2g} {unit}" for unit, value in sizes.items() if value > 0)
     values = 0 if log.controls is None else len(np.unique(np.round(log.controls[:, 0], 6)))

@@ -12,16 +12,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from numbers import Integral
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..edges import AnchorEdges, LandmarkSightings, SightingEdges
-from ..errors import OptionError, checks, quoted
+from ..errors import GraphError, OptionError, checks, quoted
 from ..graph import Graph
 from ..graph.transform import with_landmark_nodes
 from ..identification.declared import ParameterEstimate
+from ..linear.cholesky import FactorizationError
 from ..log import Log
 from ..maps.landmark_map import LandmarkMap
 from ..maps.stretch import Stretch
@@ -433,6 +434,17 @@ def make_solution(
     return solution
 
 
+T = TypeVar("T")
+
+
+def _found(otherwise: T, check: Callable[..., T], *arguments: Any, **options: Any) -> T:
+    """What a check of a solution finds; ``otherwise`` where the edges do not determine what it needs."""
+    try:
+        return check(*arguments, **options)
+    except (FactorizationError, GraphError, np.linalg.LinAlgError):
+        return otherwise
+
+
 def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None) -> Solution:
     """A solution with notes on what contradicts it: its map, its positions, its odometry, and edges among each other.
 
@@ -445,15 +457,15 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
     if graph is None or not solution.converged:
         return solution
     # positions of another frame make the map look wrong, and their errors as if they lasted
-    if not (of_frame := doubt_of_frame(graph, solution.state)):
+    if not (of_frame := _found("", doubt_of_frame, graph, solution.state)):
         solution, of_map = contradictions.in_doubted_map(solution, again if graph.reweighted else None)
         notes += of_map
-    solution, of_odometry = contradictions.without_slips_of(solution, again)
-    solution, lasting = with_lasting_errors(solution, again)
+    solution, of_odometry = _found((solution, tuple[str, ...]()), contradictions.without_slips_of, solution, again)
+    solution, lasting = _found((solution, ""), with_lasting_errors, solution, again)
     graph = solution._solved_graph
-    of_positions = of_frame or doubt_of_positions(graph, solution.state, lasting=bool(lasting))
-    common, of_scans = errors_of_scans(graph, solution.state)
-    of_relations = contradictions.doubt_of_relations(graph, solution.state)
+    of_positions = of_frame or _found("", doubt_of_positions, graph, solution.state, lasting=bool(lasting))
+    common, of_scans = _found((np.zeros((3, 3)), ""), errors_of_scans, graph, solution.state)
+    of_relations = _found("", contradictions.doubt_of_relations, graph, solution.state)
     notes += filter(None, (of_positions, of_relations, lasting, *of_odometry, of_scans))
     # families that do not say how many numbers they measure leave the expected cost open
     counted = all(f.numbers[0] or isinstance(f, AnchorEdges) or not f.count for f in graph.families)

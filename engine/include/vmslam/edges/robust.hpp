@@ -1,7 +1,6 @@
 // Robust kernels: an edge with r² = e' Omega e costs 2 rho(r), and enters Omega and xi with the weight w(r) = rho'(r) / r.
 #pragma once
 
-#include <array>
 #include <cmath>
 
 namespace vmslam::edges {
@@ -46,8 +45,5 @@ struct Kernel {
         }
     }
 };
-
-/// E[w], E[w r²] / d and E[w² r²] / d for r² of chi-square with d degrees of freedom, by the midpoint rule over r.
-std::array<double, 3> expectations(const Kernel& kernel, int dimension);
 
 }  // namespace vmslam::edges
