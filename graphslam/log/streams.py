@@ -245,15 +245,13 @@ def synchronize(
     remarks = list(notes)
     odometry = in_order("odometry", odometry, remarks)[0]
     sightings, order = in_order("sightings", sightings, remarks)
-    landmarks = np.asarray(landmarks)[order]
     if truth is not None:
         truth = in_order("truth", truth, remarks)[0]
     if len(odometry) < 2:
         raise LogError(f"the odometry has {len(odometry)} rows, but motion takes two")
     inside = _inside("sightings", odometry, remarks, sightings.times)
-    seen = sightings.times[inside]
+    seen, others = sightings.times[inside], list[Array]()
     measured: dict[str, Stream] = {}
-    others: list[Array] = []
     for what, stream in (("relations", relations), ("positions", positions)):
         if stream is not None:
             at = [stream.times, stream.rows[:, 0]] if what == "relations" else [stream.times]
@@ -267,50 +265,23 @@ def synchronize(
     if gaps:
         remarks.append(gap_note(gaps))
         warnings.warn(f"{name}: {remarks[-1]}", UserWarning, stacklevel=3)
-    before, after = times[0] - odometry.times[0], odometry.times[-1] - times[-1]
-    if before + after > UNUSED * (odometry.times[-1] - odometry.times[0]):
-        what, how = ("measurement", "measured") if others else ("sighting", "seen")
-        ends = ((before, f"before the first {what}"), (after, f"after the last {what}"))
-        unseen = " and ".join(f"{decimals(lasting, 1)} s {where}" for lasting, where in ends if lasting > 0)
-        remarks.append(f"the odometry of {unseen} is left out: poses are where something was {how}")
-    true_poses = true_path = None
-    if truth is not None:
-        at_poses = truth_at(times, truth)
-        covered = np.isfinite(at_poses[:, 0])
-        if covered.any():
-            true_poses, true_path = at_poses, truth_at(times[0] + np.concatenate([[0.0], np.cumsum(dt)]), truth)
-            true_path[starts] = true_poses
-        if not covered.all():
-            few = f"{covered.sum()} of {len(covered)} poses" if covered.any() else "no pose"
-            remarks.append(f"the truth covers {few}{_why_few(times, truth)}")
+    _remark_unused(odometry, times, remarks, "measured" if others else "seen")
+    true_poses, true_path = (None, None) if truth is None else _truth_of(truth, times, dt, starts, remarks)
     if start is None:
         start = np.zeros(3)
         if true_poses is not None and not np.isnan(true_poses[0]).any():
             start = mounted(true_poses[0], (-truth_offset[0], -truth_offset[1]))
-    steps, ids = np.searchsorted(times, seen), landmarks[inside]
-    classes = None if classes is None else np.asarray(classes)[order][inside]
-    rows = sightings.rows[inside]
-    if (alone := np.isnan(rows[:, :2]).any(axis=1)).any():
-        have = "has" if np.sum(alone) == 1 else "have"
-        remarks.append(f"{np.sum(alone)} of {len(alone)} sightings {have} a range or a bearing alone")
-        nameless = alone & np.isin(ids, (NO_ID, UNIDENTIFIED))
-        if nameless.any():
-            remarks.append(f"{np.sum(nameless)} of these {np.sum(alone)} have no id, which they need, and are left out")
-        kept = alone & ~nameless
-        single = {"ranges": rows[kept, 0], "bearings": rows[kept, 1]}
-        models["partial_sightings"] = PartialSightings(steps=steps[kept], landmarks=ids[kept], **single)
-        steps, ids, rows = steps[~alone], ids[~alone], rows[~alone]
-        classes = None if classes is None else classes[~alone]
+    parts = {"steps": np.searchsorted(times, seen), "landmarks": np.asarray(landmarks)[order][inside]}
+    parts["sightings"] = sightings.rows[inside]
+    if classes is not None:
+        parts["classes"] = np.asarray(classes)[order][inside]
     return Log(
         dt=dt,
         controls=controls,
         control_starts=starts,
         control_variances=variances,
         recorded_dt=recorded_dt,
-        steps=steps,
-        landmarks=ids,
-        sightings=rows,
-        classes=classes,
+        **_single_numbers_apart(parts, remarks),
         **{what: _READERS[what](stream, times) for what, stream in measured.items()},
         initial_poses=MotionModel().dead_reckoning(start, controls, dt)[starts],
         true_poses=true_poses,
@@ -322,6 +293,49 @@ def synchronize(
         notes=tuple(remarks),
         **models,
     )
+
+
+def _remark_unused(odometry: Stream, times: Array, remarks: list[str], how: str) -> None:
+    """A remark where much odometry lies before the first or after the last of the poses at ``times``."""
+    before, after = times[0] - odometry.times[0], odometry.times[-1] - times[-1]
+    if before + after > UNUSED * (odometry.times[-1] - odometry.times[0]):
+        what = "sighting" if how == "seen" else "measurement"
+        ends = ((before, f"before the first {what}"), (after, f"after the last {what}"))
+        unseen = " and ".join(f"{decimals(lasting, 1)} s {where}" for lasting, where in ends if lasting > 0)
+        remarks.append(f"the odometry of {unseen} is left out: poses are where something was {how}")
+
+
+def _truth_of(
+    truth: Stream, times: Array, dt: Array, starts: np.ndarray, remarks: list[str]
+) -> tuple[Array | None, Array | None]:
+    """The true poses (T+1, 3) at ``times``, and those (S+1, 3) between the pieces ``dt`` of the controls; None: not known."""
+    true_poses = truth_at(times, truth)
+    covered = np.isfinite(true_poses[:, 0])
+    if not covered.all():
+        few = f"{covered.sum()} of {len(covered)} poses" if covered.any() else "no pose"
+        remarks.append(f"the truth covers {few}{_why_few(times, truth)}")
+    if not covered.any():
+        return None, None
+    true_path = truth_at(times[0] + np.concatenate([[0.0], np.cumsum(dt)]), truth)
+    true_path[starts] = true_poses
+    return true_poses, true_path
+
+
+def _single_numbers_apart(parts: dict[str, Any], remarks: list[str]) -> dict[str, Any]:
+    """Steps, landmarks, sightings and classes of a log; ranges and bearings alone become its partial sightings."""
+    rows, ids = parts["sightings"], parts["landmarks"]
+    alone = np.isnan(rows[:, :2]).any(axis=1)
+    if not alone.any():
+        return parts
+    have = "has" if np.sum(alone) == 1 else "have"
+    remarks.append(f"{np.sum(alone)} of {len(alone)} sightings {have} a range or a bearing alone")
+    nameless = alone & np.isin(ids, (NO_ID, UNIDENTIFIED))
+    if nameless.any():
+        remarks.append(f"{np.sum(nameless)} of these {np.sum(alone)} have no id, which they need, and are left out")
+    kept = alone & ~nameless
+    single = {"ranges": rows[kept, 0], "bearings": rows[kept, 1]}
+    partial = PartialSightings(steps=parts["steps"][kept], landmarks=ids[kept], **single)
+    return {name: each[~alone] for name, each in parts.items()} | {"partial_sightings": partial}
 
 
 def _inside(what: str, odometry: Stream, remarks: list[str], *times: Array) -> np.ndarray:
