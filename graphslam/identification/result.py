@@ -132,6 +132,8 @@ MIN_INFORMATION = 0.7
 #: an estimate is doubtful with fewer sightings than this, with more than this share of the ids wrong, and with a bias this
 #: far from its ideal value [standard deviations of its prior], for which these are likely causes
 FEW, MANY_MISREAD, IMPLAUSIBLE = 150, 0.2, 4.0
+#: a remark says that the size of the map is that of the ranges where the wheels differ from them by more than this part
+OTHER_SIZE = 0.05
 #: fewer numbers that show the noise of the motion are a doubt (docs/decisions.md)
 HARDLY_SHOWN = 12.0
 #: more scans in one row of the odometry that lasts longer than the second number [s] are a doubt: with 4, 5 and 20 scans the
@@ -356,6 +358,13 @@ class RobotEstimate(Systematic):
         if self.untested:
             which = ", ".join(self.untested)
             lines.append(f"not estimated from these ranges and bearings alone: {which} keep their ideal values")
+        scale = self.parameters["wheel_scale"] if "wheel_scale" in self.parameters.names else 1.0
+        if abs(scale - 1) > OTHER_SIZE and not self.in_map:
+            lines.append(
+                f"the scales of wheels and ranges differ by {abs(scale - 1):.1%}, and the log does not tell which of them is "
+                "wrong: the trajectory and the landmarks have the size that the ranges say. One distance that is measured by "
+                "hand tells"
+            )
         delay = self.parameters["sensor_delay"] if "sensor_delay" in self.parameters.names else 0.0
         if delay < -EARLY and -delay > SURELY * self.parameters.deviations["sensor_delay"]:
             lines.append(

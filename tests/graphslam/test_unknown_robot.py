@@ -75,6 +75,9 @@ def test_biases_are_within_their_standard_errors() -> None:
     for name, deviation in found.parameters.deviations.items():
         assert abs(found.parameters[name] - truth.parameters[name]) < many * deviation, name
     assert found.parameters.deviations["wheel_scale"] < 0.01
+    larger = found.parameters.values + 0.06 * (np.array(found.parameters.names) == "wheel_scale")
+    other = replace(found, parameters=replace(found.parameters, values=larger))
+    assert ["size that the ranges say" in str(each.remarks) for each in (found, other)] == [False, True]
 
 
 def test_the_noise_of_the_sensor_is_found() -> None:
