@@ -208,9 +208,10 @@ class OwnBackend(Backend):
                 del self._landmarks[landmark]
             del self._poses[before[0] :]
             self.columns, self._others.waiting, self._expected.windows = before[1:]
-            if self._let_wait_again():
-                seen = pose, landmarks, measured, information, numbers
-                self.update(relations, *seen, places=places, doubted=doubted)
+            # in a copy, which counts only where the call is possible then
+            if self._others.numbers and (other := deepcopy(self))._let_wait_again():
+                other.update(relations, pose, landmarks, measured, information, numbers, places=places, doubted=doubted)
+                self.__dict__.update(other.__dict__)
                 return
             text = "the call leaves a pose or landmark undetermined, so that nothing was added"
             if not system.converged:

@@ -106,7 +106,12 @@ def test_landmarks_whose_bearings_leave_no_place_wait_again() -> None:
             seen = sensor.h(np.tile(x, (3, 1)), marks) + rng.normal(0, 0.02, (3, 2))
             solver.observe([0, 1, 2], np.column_stack([np.full(3, np.nan), seen[:, 1]]))
             waited |= len(solver.landmarks) < known
-            known = len(solver.landmarks)
+            known, poses = len(solver.landmarks), solver.poses
+            with pytest.raises(GraphError, match="undetermined"):
+                # no landmark waits because of a call that is refused
+                solver._backend.relate((solver.step, solver.step + 1, np.zeros(3), np.zeros((3, 3))))
+            assert len(solver.landmarks) == known
+            np.testing.assert_array_equal(solver.poses, poses)
         backend = solver._backend
         assert backend.converged
         assert backend._expected.measured[1, True] == sum(map(len, backend._others.numbers.values()))
