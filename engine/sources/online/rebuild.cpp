@@ -10,7 +10,7 @@ namespace vmslam::online {
 namespace {
 
 using sparse::Index;
-using sparse::Symbolic;
+using sparse::SupernodeTree;
 
 /// The top: its supernodes, nodes and edges, and the supernodes that hang below it. Its nodes are numbered by `Node::local`.
 struct Top {
@@ -60,7 +60,7 @@ struct Top {
 /// The structure of L for the groups of nodes that edges and supernodes below tie together. What a step ties is late in the
 /// order, because the next step probably ties the same; then poses that are held, so that few subtrees are absolute; and the
 /// nodes `newest` last.
-Symbolic analyze_top(const Graph& graph, const Tree& tree, const Top& top, std::span<const Id> newest) {
+SupernodeTree analyze_top(const Graph& graph, const Tree& tree, const Top& top, std::span<const Id> newest) {
     std::vector<Index> sizes, members;
     const auto local = [&](Id node) { return static_cast<Index>(graph.nodes[node].local); };
     for (const Id e : top.edges) {
@@ -86,13 +86,16 @@ Symbolic analyze_top(const Graph& graph, const Tree& tree, const Top& top, std::
     for (const Id node : newest)
         if (const Id k = graph.nodes[node].local; k >= 0) last[k] = 3;
     std::ranges::stable_sort(order, {}, [&](Id k) { return last[k]; });
-    return sparse::analyze(pattern, order, sparse::shape_of<sparse::Real3>, 1);
+    return sparse::supernodes_of(pattern, order, std::vector<Id>(n, 3), 1);
 }
 
 /// What an elimination changes in the graph and below the top, to put it back.
 class Kept {
    public:
     Kept(const Graph& graph, Tree& tree, const Top& top) : top_(top), root_(tree.groups[0].child) {
+        nodes_.reserve(top.nodes.size());
+        edges_.reserve(top.edges.size());
+        places_.reserve(top.below.size());
         for (const Id node : top.nodes) nodes_.push_back(graph.nodes[node]);
         for (const Id e : top.edges) edges_.push_back(graph.edges[e]);
         for (const Id s : top.below) {
@@ -127,15 +130,16 @@ class Kept {
 };
 
 /// New supernodes in the tree in the place of those removed, which stay for now.
-std::vector<Id> link(Graph& graph, Tree& tree, const Top& top, const Symbolic& symbolic) {
-    const auto node_at = [&](Id column) { return top.nodes[symbolic.order[column]]; };
+std::vector<Id> link(Graph& graph, Tree& tree, const Top& top, const SupernodeTree& structure) {
+    const auto node_at = [&](Id column) { return top.nodes[structure.order[column]]; };
     std::vector<Id> created;
-    for (Id k = 0; k < symbolic.supernodes(); ++k) {
-        const Front front = symbolic.front(k);
+    for (Id k = 0; k < structure.supernodes(); ++k) {
+        const Id w = structure.width(k), r = structure.height_below(k);
         std::vector<Id> nodes;
-        for (Id q = 0; q < front.w; ++q) nodes.push_back(node_at(symbolic.first[k] + q));
-        for (Id q = 0; q < front.r; ++q) nodes.push_back(node_at(symbolic.rows[symbolic.row_start[k] + q]));
-        const Id s = tree.create(graph, std::move(nodes), static_cast<Id>(front.w));
+        nodes.reserve(w + r);
+        for (Id q = 0; q < w; ++q) nodes.push_back(node_at(structure.first[k] + q));
+        for (Id q = 0; q < r; ++q) nodes.push_back(node_at(structure.rows[structure.row_start[k] + q]));
+        const Id s = tree.create(graph, std::move(nodes), w);
         created.push_back(s);
         for (const Id node : tree.groups[s].columns()) graph.nodes[node].home = s, graph.nodes[node].owned = -1;
     }
@@ -149,9 +153,9 @@ std::vector<Id> link(Graph& graph, Tree& tree, const Top& top, const Symbolic& s
     for (const Id s : top.below) tree.groups[s].marked = false;
     tree.groups[0].child = 0;
     for (const Id s : roots) tree.hang(s, 0);
-    for (Id k = 0; k < symbolic.supernodes(); ++k)
-        tree.hang(created[k], symbolic.parent[k] < 0 ? 0 : created[symbolic.parent[k]]);
-    const auto place = [&](Id node) { return symbolic.position[graph.nodes[node].local]; };
+    for (Id k = 0; k < structure.supernodes(); ++k)
+        tree.hang(created[k], structure.parent[k] < 0 ? 0 : created[structure.parent[k]]);
+    const auto place = [&](Id node) { return structure.position[graph.nodes[node].local]; };
     for (const Id s : top.below) {
         const auto separator = tree.groups[s].separator();
         const auto lowest =
@@ -172,10 +176,10 @@ std::vector<Id> link(Graph& graph, Tree& tree, const Top& top, const Symbolic& s
 
 bool rebuild(Graph& graph, Tree& tree, const Changes& changes, Evaluation& found) {
     const Top top(graph, tree, changes);
-    const Symbolic symbolic = analyze_top(graph, tree, top, changes.newest);
+    const SupernodeTree structure = analyze_top(graph, tree, top, changes.newest);
     Kept before(graph, tree, top);
     const std::size_t size_before = tree.groups.size();
-    const std::vector<Id> created = link(graph, tree, top, symbolic);
+    const std::vector<Id> created = link(graph, tree, top, structure);
     for (std::size_t k = 0; k < top.edges.size(); ++k) {
         // far from the minimum second derivatives mislead: new edges are without, unless all are new
         const bool without = k < top.fresh && top.fresh < top.edges.size();

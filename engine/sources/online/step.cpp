@@ -19,7 +19,7 @@ namespace vmslam::online {
 
 /// A pass leaves out subtrees that would change J by less than this part of it. Where a pass is slow, this is multiplied by
 /// `finer` for the next ones, because edges of subtrees that were left out may be the reason.
-constexpr double settled = 2e-7, finer = 0.3;
+constexpr double settled = 5e-7, finer = 0.3;
 /// What rounding leaves of a prediction where J is zero.
 constexpr double rounding = 1e-15;
 /// A pass is slow where it predicts more than this part of the decrease that the pass before predicted; after edges were
@@ -60,7 +60,11 @@ class OnlineSystem::Undo {
           first_edge_(static_cast<Id>(system.graph_.edges.size())),
           remembered_(system.memory_, system.ordered_, system.passes, system.converged, system.covariances_ready_,
                       system.graph_.has_single_numbers) {
-        for (const Id s : system.tree_.upwards(homes))
+        const std::vector<Id> path = system.tree_.upwards(homes);
+        std::size_t count = 0;
+        for (const Id s : path) count += system.tree_.groups[s].w;
+        nodes_.reserve(count);
+        for (const Id s : path)
             for (const Id node : system.tree_.groups[s].columns()) nodes_.push_back({node, system.graph_.nodes[node]});
         for (const Prior& prior : system.priors_) of_priors_.push_back(prior.pull);
     }

@@ -123,6 +123,10 @@ bool OnlineSystem::factorize_all() {
     std::vector<Prior*> priors;
     for (Prior& prior : priors_) priors.push_back(&prior);
     const std::vector<Id> above = renew_priors(priors);
+    Evaluation found{memory_.limit, memory_.bent};
+    for (Id s = 1; s < static_cast<Id>(tree_.groups.size()); ++s)
+        if (tree_.groups[s].w > 0) tree_.evaluate_edges(graph_, s, found);
+    memory_.cost += found.change;
     return factorize_late(graph_.live_edges(), above);
 }
 

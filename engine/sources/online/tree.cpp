@@ -21,7 +21,7 @@ Supernode::Supernode(const Graph& graph, std::vector<Id> of, Id w)
     wide = blocks(0, w, 0);
     tall = blocks(w, w + r, 3 * wide);
     const Front f = front();
-    numbers = Numbers(3 * (wide * f.height + tall * f.update_height + wide + 2 * tall));
+    numbers = Numbers(3 * (wide * f.height + tall * f.update_height + 2 * wide + 3 * tall));
     std::fill_n(y(), 3 * (wide + 2 * tall), 0.0);
 }
 
@@ -157,8 +157,9 @@ void extend(Supernode& child, Index from, Index to, double* target, Index height
 
 }  // namespace
 
-/// The blocks of the edges that its nodes own in the columns of a panel.
-void Tree::put_entries(const Graph& graph, const Supernode& group, double* x) {
+/// The blocks of the edges that its nodes own in the columns of a panel. Those on the diagonal of the separator are for the
+/// update matrix, and are summed by the number at which the node begins.
+void Tree::put_entries(const Graph& graph, const Supernode& group, double* x, std::span<Symmetric> of_separator) {
     const Front front = group.front();
     const Index h = front.height;
     Index used = 0;
@@ -168,11 +169,13 @@ void Tree::put_entries(const Graph& graph, const Supernode& group, double* x) {
         used = group.row[q] + graph.nodes[number].size();
         each_owned(graph, number, [&](Id, const Edge& edge, int side) {
             const Blocks own = diagonal_blocks(edge);
+            const Symmetric& other = side == 0 ? own.second : own.first;
             const Node &first = graph.nodes[edge.ends[0]], &second = graph.nodes[edge.ends[1]];
             add_symmetric(column + group.row[q], h, side == 0 ? own.first : own.second, graph.nodes[number].point);
             if (edge.place < 3 * group.wide)
-                add_symmetric(x + edge.place * (h + 1) + front.pad, h, side == 0 ? own.second : own.first,
-                              (side == 0 ? second : first).point);
+                add_symmetric(x + edge.place * (h + 1) + front.pad, h, other, (side == 0 ? second : first).point);
+            else
+                of_separator[edge.place - 3 * group.wide] = of_separator[edge.place - 3 * group.wide] + other;
             const auto block = block_between(edge);
             double* const to = column + edge.place;
             for (int k = 0; k < first.size(); ++k)
@@ -180,18 +183,6 @@ void Tree::put_entries(const Graph& graph, const Supernode& group, double* x) {
         });
     }
     for (; used < 3 * group.wide; ++used) x[used * (h + 1) + front.pad] = 1.0;
-}
-
-/// Their blocks on the diagonal of the separator.
-void Tree::put_separator_entries(const Graph& graph, const Supernode& group, double* update) {
-    const Front front = group.front();
-    for (const Id number : group.columns())
-        each_owned(graph, number, [&](Id, const Edge& edge, int side) {
-            if (edge.place < 3 * group.wide) return;
-            const Blocks own = diagonal_blocks(edge);
-            add_symmetric(update + (edge.place - 3 * group.wide) * (front.update_height + 1) + front.update_pad,
-                          front.update_height, side == 0 ? own.second : own.first, graph.nodes[edge.ends[1 - side]].point);
-        });
 }
 
 bool Tree::factorize(Graph& graph, Id s) {
@@ -204,7 +195,8 @@ bool Tree::factorize(Graph& graph, Id s) {
     at_least(packed_[0], packing);
     const sparse::Panel<Real3> panel{x, front, packed_};
     std::memset(x, 0, own * h * sizeof(double));
-    put_entries(graph, group, x);
+    of_separator_.assign(3 * front.r, {});
+    put_entries(graph, group, x, of_separator_);
     double* const limits = at_least(work_, own);
     std::fill_n(limits, own, 0.0);
     for (Id q = 0; q < group.w; ++q) {
@@ -217,7 +209,9 @@ bool Tree::factorize(Graph& graph, Id s) {
     // only the columns are needed before the factorisation, so the update matrix is written by the product and never cleared
     double* const update = group.update();
     panel.update_matrix(update);
-    put_separator_entries(graph, group, update);
+    for (Id k = 0; k < group.r; ++k)
+        add_symmetric(update + group.begin_of(k) * (front.update_height + 1) + front.update_pad, front.update_height,
+                      of_separator_[group.begin_of(k)], group.size_of(k) == 2);
     for (Id c = group.child; c > 0; c = groups[c].sibling)
         extend(groups[c], own, all, update + front.update_pad, front.update_height);
     // it enters sums
@@ -236,7 +230,7 @@ bool refactor(Graph& graph, Tree& tree, std::span<const Id> late, std::span<cons
     for (const Id s : tree.upwards(homes)) {
         good = good && tree.factorize(graph, s);
         if (good)
-            tree.evaluate(graph, s, found);
+            tree.solve_forward(s, found);
         else
             tree.rest(graph, s);
     }

@@ -223,18 +223,17 @@ void Tree::rest(Graph& graph, Id s) {
     group.largest_squares = 1.0;
 }
 
-void Tree::evaluate(Graph& graph, Id s, Evaluation& found) {
+void Tree::evaluate_edges(Graph& graph, Id s, Evaluation& found) {
     rest(graph, s);
     Supernode& group = groups[s];
-    const Front front = group.front();
-    double* const b = at_least(work_, front.height);
-    std::memset(b, 0, front.height * sizeof(double));
-    double* const at = b + front.pad;
+    double* const at = group.own_pull();
+    std::fill_n(at, 3 * (group.wide + group.tall), 0.0);
+    group.own_squares = 1.0;
     for (Id q = 0; q < group.w; ++q)
         each_owned(graph, group.nodes[q], [&](Id e, Edge& edge, int side) {
             const Evaluated now = online::evaluate(graph, edge, found.limit, found.bent);
             found.change += now.change;
-            group.largest_squares = std::max(group.largest_squares, edge.squares);
+            group.own_squares = std::max(group.own_squares, edge.squares);
             if (now.outdated) found.late.push_back(e);
             const auto add = [&](Id row, int end) {
                 for (int p = 0; p < graph.nodes[edge.ends[end]].size(); ++p) at[row + p] += now.pulls.ends[end][p];
@@ -242,6 +241,17 @@ void Tree::evaluate(Graph& graph, Id s, Evaluation& found) {
             add(group.row[q], side);
             add(edge.place, 1 - side);
         });
+}
+
+void Tree::solve_forward(Id s, Evaluation& found) {
+    Supernode& group = groups[s];
+    const Front front = group.front();
+    double* const b = at_least(work_, front.height);
+    double* const at = b + front.pad;
+    std::memset(b, 0, front.pad * sizeof(double));
+    std::copy_n(group.own_pull(), 3 * (group.wide + group.tall), at);
+    group.largest_decrease = 0.0;
+    group.largest_squares = group.own_squares;
     for (Id c = group.child; c > 0; c = groups[c].sibling) {
         Supernode& child = groups[c];
         const double* const pull_now = child.pull_now();

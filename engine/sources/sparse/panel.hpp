@@ -147,12 +147,18 @@ void product(Columns c, ConstColumns a, Right b, Step rows, Step nodes, Step dep
 /// Add `n` numbers to each of `count` columns.
 template <int count>
 inline void add_rows(Columns t, ConstColumns s, Step n) {
-    for (; n >= 4; t.at += 4, s.at += 4, n -= 4)
+    const auto add = [&]<Step width>(std::integral_constant<Step, width>) {
 #pragma GCC unroll 4
-        for (int k = 0; k < count; ++k) store<4>(t.at + k * t.step, load<4>(t.at + k * t.step) + load<4>(s.at + k * s.step));
-    for (; n > 0; ++t.at, ++s.at, --n)
+        for (int k = 0; k < count; ++k)
+            store<width>(t.at + k * t.step, load<width>(t.at + k * t.step) + load<width>(s.at + k * s.step));
+        t.at += width, s.at += width, n -= width;
+    };
+    while (n >= 4) add(std::integral_constant<Step, 4>());
+    if (n >= 2) add(std::integral_constant<Step, 2>());
+    if (n > 0) {
 #pragma GCC unroll 4
         for (int k = 0; k < count; ++k) t.at[k * t.step] += s.at[k * s.step];
+    }
 }
 
 /// The flops from which on a product is shared among threads, and how many node columns one takes at a time.

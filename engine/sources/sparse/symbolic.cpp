@@ -9,9 +9,17 @@
 namespace vmslam::sparse {
 namespace {
 
+/// The supernode of each column.
+std::vector<Node> owners(const SupernodeTree& s) {
+    std::vector<Node> owner(s.nodes());
+    for (Node t = 0; t < s.supernodes(); ++t) std::fill(owner.begin() + s.first[t], owner.begin() + s.first[t + 1], t);
+    return owner;
+}
+
 /// The rows of every supernode and the tree, by walking the row subtrees on the tree of supernodes.
-void find_rows(SupernodeTree& s, const std::vector<Node>& below, const RowLists& lists, const std::vector<Node>& owner) {
+void find_rows(SupernodeTree& s, const std::vector<Node>& below, const RowLists& lists) {
     const Node count = s.supernodes();
+    const std::vector<Node> owner = owners(s);
     s.row_start.assign(count + 1, 0);
     std::partial_sum(below.begin(), below.end(), s.row_start.begin() + 1, std::plus<Index>());
     s.rows.resize(s.row_start[count]);
@@ -173,34 +181,34 @@ Node SupernodeTree::owner(Node column) const {
     return static_cast<Node>(std::upper_bound(first.begin(), first.end(), column) - first.begin()) - 1;
 }
 
+SupernodeTree supernodes_of(const Pattern& pattern, std::span<const Node> order, std::vector<Node> sizes, int planes) {
+    const EliminationTree tree(permuted(pattern, inverse(order)), std::move(sizes));
+    const Supernodes groups = amalgamate(tree, planes);
+    SupernodeTree s;
+    s.blocks = tree.blocks();
+    // amalgamation moves the columns of a supernode next to each other
+    for (const Node column : groups.columns) {
+        s.order.push_back(order[column]);
+        s.row_length.push_back(tree.row_length[column]);
+    }
+    s.position = inverse(s.order);
+    s.first = groups.first;
+    find_rows(s, groups.below, permuted(pattern, s.position));
+    return s;
+}
+
 Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape shape, int threads,
                  std::span<const char> points) {
     const auto is_point = [&](Node node) { return !points.empty() && points[node]; };
     std::vector<Node> sizes;
     for (const Node node : order) sizes.push_back(is_point(node) ? shape.point_rows : shape.rows);
-    const EliminationTree tree(permuted(pattern, inverse(order)), std::move(sizes));
-    const Supernodes groups = amalgamate(tree, shape.planes());
     Symbolic s;
+    static_cast<SupernodeTree&>(s) = supernodes_of(pattern, order, std::move(sizes), shape.planes());
     s.shape = shape;
-    s.blocks = tree.blocks();
-    // amalgamation moves the columns of a supernode next to each other
-    const Node n = pattern.size();
-    s.order.resize(n);
-    s.row_length.resize(n);
-    s.point.resize(n);
-    for (Node k = 0; k < n; ++k) {
-        s.order[k] = order[groups.columns[k]];
-        s.point[k] = is_point(s.order[k]);
-        s.points |= s.point[k] != 0;
-        s.row_length[k] = tree.row_length[groups.columns[k]];
-    }
-    s.position = inverse(s.order);
-    s.first = groups.first;
-    std::vector<Node> owner(n);
-    for (Node t = 0; t < s.supernodes(); ++t) std::fill(owner.begin() + s.first[t], owner.begin() + s.first[t + 1], t);
-    find_rows(s, groups.below, permuted(pattern, s.position), owner);
+    for (const Node node : s.order) s.point.push_back(is_point(node));
+    s.points = std::ranges::count(s.point, 1) > 0;
     relate_to_parents(s);
-    place_entries(s, pattern, owner);
+    place_entries(s, pattern, owners(s));
     place_numbers(s);
     place_panels(s);
     divide(s, threads);

@@ -8,7 +8,8 @@
 //     update      U, what the whole subtree adds to Omega of the separator: its edges, less what eliminating its nodes takes,
 //     y           L11^-1 xi of its nodes, at the last evaluation,
 //     pull_then   xi of the separator from the whole subtree, at the last evaluation,
-//     pull_now    the same at the estimate.
+//     pull_now    the same at the estimate,
+//     own_pull    what its own edges add to xi of its nodes and of the separator, at the last evaluation.
 //
 // An edge is assembled where its first end is eliminated, with its parts for both ends. So U and the pulls belong to the
 // subtree as a whole, and J of a subtree does not change when its separator moves as a rigid body. Let m be the motion of the
@@ -62,6 +63,7 @@ struct Supernode : Hanging {
     bool absolute = false;  ///< whether something in the subtree resists motions as a rigid body
     double largest_decrease = 0.0;  ///< y' y, by how much solving a supernode lowers J: the largest in the subtree
     double largest_squares = 1.0;  ///< the largest e' W e of an edge of the subtree, at least 1
+    double own_squares = 1.0;  ///< the same of its own edges
     std::vector<Id> nodes;  ///< w nodes, then r nodes, both in the order of elimination
     std::vector<Id> row;  ///< (w + r + 1) where the numbers of each begin in the front, and where those of the last one end
     std::vector<Seen> seen;  ///< the separator at the last evaluation
@@ -77,6 +79,7 @@ struct Supernode : Hanging {
     double* y() { return update() + 3 * tall * front().update_height; }
     double* pull_then() { return y() + 3 * wide; }
     double* pull_now() { return pull_then() + 3 * tall; }
+    double* own_pull() { return pull_now() + 3 * tall; }
     /// Where the numbers of a node of the separator begin among those of the separator, and how many they are.
     Id begin_of(Id k) const { return row[w + k] - 3 * wide; }
     Id size_of(Id k) const { return row[w + k + 1] - row[w + k]; }
@@ -129,8 +132,15 @@ class Tree {
     void follow(const Graph& graph, Id s);
     /// Take the present values of the nodes of a supernode as those of its last evaluation: their increments become zero.
     void rest(Graph& graph, Id s);
-    /// Evaluate the edges of a supernode where its nodes are now, and solve it forward, after its children.
-    void evaluate(Graph& graph, Id s, Evaluation& found);
+    /// Evaluate the edges of a supernode where its nodes are now.
+    void evaluate_edges(Graph& graph, Id s, Evaluation& found);
+    /// Solve a supernode forward, L y = xi, after its edges were evaluated, and its children.
+    void solve_forward(Id s, Evaluation& found);
+    /// Both.
+    void evaluate(Graph& graph, Id s, Evaluation& found) {
+        evaluate_edges(graph, s, found);
+        solve_forward(s, found);
+    }
 
     /// Move supernodes to the solution from the roots down, but for subtrees that would change J by less than `least`.
     struct Moved {
@@ -145,8 +155,7 @@ class Tree {
     std::ptrdiff_t numbers() const;
 
    private:
-    void put_entries(const Graph& graph, const Supernode& group, double* x);
-    void put_separator_entries(const Graph& graph, const Supernode& group, double* update);
+    void put_entries(const Graph& graph, const Supernode& group, double* x, std::span<Symmetric> of_separator);
     /// m of a supernode, the motion of its separator.
     const double* motion(const Graph& graph, const Supernode& group);
     void move(Graph& graph, Supernode& group, const double* m);
@@ -156,12 +165,13 @@ class Tree {
 
     std::vector<Id> free_;
     Numbers work_, motion_, pull_;  ///< vectors of fronts
+    std::vector<Symmetric> of_separator_;  ///< what edges add to the diagonal of the separator
     std::vector<Numbers> packed_ = std::vector<Numbers>(1);
 };
 
-/// Linearise the edges `late` again, and factorise and evaluate their supernodes, `others` and those above them, with the
-/// same nodes in the same order, where these are now. Returns whether Omega is positive definite. If it is not, the tree is
-/// of no use until all of it is built anew.
+/// Linearise the edges `late` again, factorise their supernodes, `others` and those above them, with the same nodes in the same
+/// order, and solve them forward. Their edges were evaluated where the nodes are now. Returns whether Omega is positive
+/// definite. If it is not, the tree is of no use until all of it is built anew.
 bool refactor(Graph& graph, Tree& tree, std::span<const Id> late, std::span<const Id> others, Evaluation& found);
 
 /// A part of the graph that is eliminated anew.
