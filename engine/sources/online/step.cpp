@@ -19,7 +19,7 @@ namespace vmslam::online {
 
 /// A pass leaves out subtrees that would change J by less than this part of it. Where a pass is slow, this is multiplied by
 /// `finer` for the next ones, because edges of subtrees that were left out may be the reason.
-constexpr double settled = 5e-7, finer = 0.3;
+constexpr double settled = 2e-7, finer = 0.3;
 /// What rounding leaves of a prediction where J is zero.
 constexpr double rounding = 1e-15;
 /// A pass is slow where it predicts more than this part of the decrease that the pass before predicted; after edges were
