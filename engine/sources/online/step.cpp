@@ -20,6 +20,9 @@ namespace vmslam::online {
 /// A pass leaves out subtrees that would change J by less than this part of it. Where a pass is slow, this is multiplied by
 /// `finer` for the next ones, because edges of subtrees that were left out may be the reason.
 constexpr double settled = 2e-7, finer = 0.3;
+/// The first pass of a step leaves out `coarse` times as much where a later one will follow it: where this part of what the
+/// elimination predicts is not below the tolerance.
+constexpr double coarse = 3.0, never_last = 0.05;
 /// What rounding leaves of a prediction where J is zero.
 constexpr double rounding = 1e-15;
 /// A pass is slow where it predicts more than this part of the decrease that the pass before predicted; after edges were
@@ -159,7 +162,8 @@ OnlineSystem::Outcome OnlineSystem::advance(int& done) {
     while (done < most_passes_) {
         if (progress.first() && is_small(least_left * m.predicted)) return Outcome::done;
         if (m.hold > 0 && --m.hold == 0) m.bent.convex = false;
-        const Pass pass = this->pass(progress.part * settled * m.cost);
+        const bool followed = progress.first() && !is_small(never_last * m.predicted);
+        const Pass pass = this->pass((followed ? coarse : 1.0) * progress.part * settled * m.cost);
         // J cannot fall by more than itself: far from any minimum, undamped passes lead nowhere
         if (!(pass.predicted < hopeless * m.cost + 1.0) || !std::isfinite(m.cost)) break;
         const bool ends = is_last(pass.predicted, progress.last);
