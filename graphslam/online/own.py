@@ -74,7 +74,7 @@ class OwnBackend(Backend):
         start, sensor, kernel: checked by `OnlineSolver`.
         tolerance: an update ends where the next pass would lower J by less than this part of it; default: `TOLERANCE`, and
             a thirtieth of it with a lag, because later steps cannot correct what a prior was made of. Together with what
-            passes leave out, J was at most 3e-7 above that of the batch solver at the steps that were compared,
+            passes leave out, J was at most 1e-6 above that of the batch solver at the steps that were compared,
             but for one that has a lower minimum next to it (`docs/benchmarks.md`).
         lag: poses that are older than so many steps are final. They are marginalised: their edges, at their last
             linearisation and with their last robust weights, become a dense prior on what they are tied to. Landmarks stay
