@@ -472,8 +472,10 @@ class Graph:
         """The robust kernel on the edges from sightings, the trust (M,) in each sighting of the log, 1 by default, and the
         sightings (M, 2 or 3) at which their noise is evaluated."""
         assert self.log is not None
-        family = next(family for family in self.families if isinstance(family, SightingEdges))
         trust, noisy = np.ones(len(self.log.steps)), self.log.sightings.copy()
+        family = next((family for family in self.families if isinstance(family, SightingEdges)), None)
+        if family is None:
+            return None, trust, noisy
         trust[self.sighting_rows], noisy[self.sighting_rows] = family.trusted, family.noisy
         return family.kernel, trust, noisy
 
