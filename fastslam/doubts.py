@@ -31,8 +31,8 @@ BEYOND, BEYOND_IN_ALL = 5.0, 3.0
 CURVED = 0.02
 #: what a note on a contradiction says
 CONTRADICTION = "times what the noise models predict for the best particle"
-#: how a note on particles with a common history begins
-ONE_HISTORY = "all particles have one history"
+#: what a note on particles with a common history says
+ONE_HISTORY = "particles have one history"
 
 
 def noted(result: FilterResult, log: Log | None, maps: bool) -> FilterResult:
@@ -57,7 +57,7 @@ def _shared_history(result: FilterResult) -> str:
     if last < 1 or result.smoothed is not None:
         return ""
     return (
-        f"{ONE_HISTORY} up to step {last} of {len(result.poses) - 1}: they are one sample of the poses "
+        f"all particles have one history up to step {last} of {len(result.poses) - 1}: they are one sample of the poses "
         "there and of the landmarks seen from them, so that covariances, also of the present pose, are too small; take more "
         "particles, or smoothing"
     )
