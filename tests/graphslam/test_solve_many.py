@@ -88,6 +88,9 @@ def test_a_graph_without_the_sightings_of_its_log_is_solved() -> None:
     assert_same(found, solve(bare))
     assert found.cost < 1e-9
     assert len(found.landmarks) == len(bare.log.landmark_ids)
+    assert bare.sighting_weights(found.state).shape == (0,)
+    with pytest.raises(OptionError, match="no edges from sightings"):
+        found.map.copy()
 
 
 def test_few_graphs_are_read_ahead_and_an_error_of_the_iterator_comes_in_its_turn(graph: Graph) -> None:
