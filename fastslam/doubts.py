@@ -31,6 +31,8 @@ BEYOND, BEYOND_IN_ALL = 5.0, 3.0
 CURVED = 0.02
 #: what a note on a contradiction says
 CONTRADICTION = "times what the noise models predict for the best particle"
+#: what a note on particles with a common history says
+ONE_HISTORY = "particles have one history"
 
 
 def noted(result: FilterResult, log: Log | None, maps: bool) -> FilterResult:
@@ -41,14 +43,18 @@ def noted(result: FilterResult, log: Log | None, maps: bool) -> FilterResult:
             filters do not keep: only what the particles have in common is noted.
         maps: whether each particle has a map of its own.
     """
-    notes = [contradiction(result, log, maps), _shared_history(result) if maps else ""]
+    if len(result.log_weights) == 1:
+        shared = "one particle has no spread, so that its covariances of poses are 0, which says nothing; take more particles"
+    else:
+        shared = _shared_history(result) if maps else ""
+    notes = [contradiction(result, log, maps), shared]
     return replace(result, notes=tuple(note for note in notes if note))
 
 
 def _shared_history(result: FilterResult) -> str:
     """A sentence where all particles have one history from the beginning; empty otherwise, and with ``smoothing``."""
     last = int(np.argmax(np.append(result.ancestors, 0) != 1)) - 1
-    if last < 1 or len(result.log_weights) == 1 or result.smoothed is not None:
+    if last < 1 or result.smoothed is not None:
         return ""
     return (
         f"all particles have one history up to step {last} of {len(result.poses) - 1}: they are one sample of the poses "

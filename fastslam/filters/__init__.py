@@ -19,6 +19,7 @@ Robotics*, section 8.3; Ueda, *LNPR*, chapter 5.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -27,12 +28,13 @@ import numpy as np
 from graphslam import Log, OptionError
 from graphslam.association import ids_by_map
 from graphslam.association.problem import Classes
+from graphslam.errors import checks
 from graphslam.graph.trilateration import WaitingNumbers, edges_of_rows
 from graphslam.maps.landmark_map import as_map
 from graphslam.se2 import Array
 
 from ..options import JOINT, WITH_IDS
-from ..particles import LandmarkEstimate, weighted_covariance, weighted_mean
+from ..particles import FilterResult, LandmarkEstimate, weighted_covariance, weighted_mean
 from .particle_filter import ParticleFilter
 
 #: the largest range [m] and standard deviation, whose inverse is the smallest standard deviation: products of three
@@ -140,6 +142,14 @@ class FastSLAM1(ParticleFilter):
         weights, particles = np.exp(self._engine.log_weights), self._engine.poses[:, :2]
         spread = weighted_covariance(particles, weighted_mean(particles, weights), weights)
         self._engine.place(id, place, np.linalg.inv(information) + spread)
+
+    def result(self) -> FilterResult:
+        """Return the estimate so far, with a note on landmarks that have no place yet."""
+        result = super().result()
+        if not (without := sorted(self._waiting.rows.keys() - set(self._engine.landmarks().tolist()))):
+            return result
+        note = f"{checks.listed('landmark', without)} left out: their ranges or bearings alone do not leave one place"
+        return replace(result, notes=(*result.notes, note))
 
     def _check_sightings(self, ids: np.ndarray, columns: int) -> None:  # noqa: ARG002
         if self._coordinates is not None and columns != self._coordinates:

@@ -334,8 +334,7 @@ class Graph:
             both = zip(self.families, own)
             families = tuple(engine.PythonFamily(f, *others) if e is None else e.in_engine for f, e in both)
             pairs = tuple(_none() if family is None else family.blocks(system) for family in own)
-            fixed = np.ascontiguousarray(self.fixed, dtype=np.int64)
-            held = (fixed, self.without_heading)
+            held = np.ascontiguousarray(self.fixed, dtype=np.int64), self.without_heading
             objective = engine.GraphObjective((families, pairs, system.arrays, held, factor), self.prior_cost)
             objective.state_dependent, objective.reweighted = self.state_dependent_information, self.reweighted
             if None not in own:
@@ -430,11 +429,10 @@ class Graph:
         return self.system
 
     def _check_states(self, *states: Array) -> None:
+        shape = self.initial.shape
         for state in states:
-            if getattr(state, "shape", None) != self.initial.shape:
-                raise OptionError(
-                    f"the state must have shape {self.initial.shape}, one row for each node, not {np.shape(state)}"
-                )
+            if getattr(state, "shape", None) != shape:
+                raise OptionError(f"the state must have shape {shape}, one row for each node, not {np.shape(state)}")
 
     def _hold(self) -> None:
         """Take out of the system what does not move: fixed nodes, and the third coordinate of landmarks without one."""
@@ -453,14 +451,18 @@ class Graph:
         """The names of nodes in a sentence: 'poses 3 and 4', 'landmark 7', 'pose 2 and landmark 5'."""
         return node_names(nodes, self.pose_ids, self.landmark_ids)
 
+    @property
+    def sighted(self) -> SightingEdges | None:
+        """The edges from sightings, or None."""
+        return next((family for family in self.families if isinstance(family, SightingEdges)), None)
+
     def sighting_weights(self, state: Array) -> Array:
         """The weights (M,) that the robust kernel gives the sightings of the edges at a state (n, 3); 1 without a kernel.
 
         With pairs these are not the weights of the edges: each sighting is compared with the place of its landmark.
         """
-        family = next(family for family in self.families if isinstance(family, SightingEdges))
-        if family.kernel is None:
-            return np.ones(len(family.sightings))
+        if (family := self.sighted) is None or family.kernel is None:
+            return np.ones(0 if family is None else len(family.sightings))
         if isinstance(family, LandmarkSightings):
             squares = family.marginal.squares(state)
         else:
@@ -472,10 +474,10 @@ class Graph:
         """The robust kernel on the edges from sightings, the trust (M,) in each sighting of the log, 1 by default, and the
         sightings (M, 2 or 3) at which their noise is evaluated."""
         assert self.log is not None
-        family = next(family for family in self.families if isinstance(family, SightingEdges))
         trust, noisy = np.ones(len(self.log.steps)), self.log.sightings.copy()
-        trust[self.sighting_rows], noisy[self.sighting_rows] = family.trusted, family.noisy
-        return family.kernel, trust, noisy
+        if (family := self.sighted) is not None:
+            trust[self.sighting_rows], noisy[self.sighting_rows] = family.trusted, family.noisy
+        return None if family is None else family.kernel, trust, noisy
 
     def map_from(self, poses: Array) -> LandmarkMap:
         """The map of the log from a trajectory (T+1, 3), with the graph's sensor, kernel, trust and noise."""

@@ -46,7 +46,6 @@ from ..edges import (
     RelationEdges,
     RelativePointEdges,
     RelativePoseEdges,
-    SightingEdges,
     VirtualMotionEdges,
 )
 from ..errors import GraphError, checks
@@ -91,8 +90,7 @@ def with_landmark_nodes(graph: Graph) -> Graph | None:
     A robust kernel of pairs acts on each sighting then. New landmarks are numbered from 0, and at the origin. None where
     there are no sightings.
     """
-    sighted = next((family for family in graph.families if isinstance(family, SightingEdges)), None)
-    if sighted is None:
+    if (sighted := graph.sighted) is None:
         return None
     if isinstance(sighted, ObservationEdges):
         parts, first, second = {}, sighted.first, sighted.second

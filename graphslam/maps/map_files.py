@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 VERSION = "graphslam-map-1"
 #: the columns of covariances, in the order of the upper triangle of (3, 3), column by column
 COVARIANCE = ("var_x", "cov_xy", "var_y", "cov_x_heading", "cov_y_heading", "var_heading")
+DIFFERENT_DATUMS = "have different datums: make one file of each map"
 DATUM = ("datum_latitude", "datum_longitude", "datum_height")
 #: words in other names of errors, and what they are errors of
 _OF_ERRORS = {"var", "variance", "cov", "covariance", "std", "stdev", "stddev", "sd", "sigma", "err", "error"}
@@ -120,7 +121,7 @@ def _table(path: Path) -> Parts:
         datums = table.numbers([columns[name] for name in DATUM])
         datums = np.unique(datums[np.isfinite(datums).all(axis=1)], axis=0)
         if len(datums) > 1:
-            raise table.error(None, "its rows have different datums: make one file of each map")
+            raise table.error(None, f"its rows {DIFFERENT_DATUMS}")
         parts["datum"] = next(iter(datums), None)
     if "var_x" in columns:
         missing = [name for name in COVARIANCE[:3] if name not in columns]
@@ -357,13 +358,16 @@ def _of_entries(path: Path, entries: list[_Entry]) -> Parts:
                 covariances[j] = np.array(entry["covariance"], dtype=float)
             except (TypeError, ValueError):
                 raise FormatError(path, line, f"{where} has a covariance that is no matrix of numbers") from None
+    # in other programs a datum is the name of an ellipsoid
+    datums = [entry["datum"] for entry, *_ in entries if isinstance(entry.get("datum"), list)]
+    if any(datum != datums[0] for datum in datums):
+        raise FormatError(path, None, f"its landmarks {DIFFERENT_DATUMS}")
     return {
         "means": dict(sorted(means.items())),
         "covariances": covariances,
         "classes": classes,
         "correlated": any(entry.get("correlated") is True for entry, *_ in entries),
-        # in other programs a datum is the name of an ellipsoid
-        "datum": next((entry["datum"] for entry, *_ in entries if isinstance(entry.get("datum"), list)), None),
+        "datum": next(iter(datums), None),
     }
 
 

@@ -59,8 +59,8 @@ def solved_map(graph: Graph, state: Array, uncertainty: Uncertainty) -> Landmark
     """
     log = graph.log
     if not len(graph.landmark_ids):
-        if log is None or not len(graph.sighting_rows):
-            raise OptionError("the solution has no map: its graph has no landmark nodes and no sightings of a log")
+        if log is None or not len(graph.sighting_rows) or graph.sighted is None:
+            raise OptionError("the solution has no map: its graph has no landmark nodes and no edges from sightings")
         graph, state = _with_nodes(graph, log, state)
         uncertainty = Uncertainty(graph, state)
     poses, d = len(graph.steps), graph.landmark_dimension

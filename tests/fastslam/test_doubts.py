@@ -88,6 +88,14 @@ def test_particles_of_one_history_are_noted() -> None:
         assert any("one history" in note for note in result.notes) == said
 
 
+@pytest.mark.parametrize("kind", FILTERS)
+def test_one_particle_has_no_covariance(kind: Any) -> None:
+    slam = kind(simulate(seed=2, steps=5), particles=1, seed=1)
+    (note,) = (note for note in slam.run().notes if note.startswith("one particle"))
+    assert not slam.covariance().any()
+    assert translated(note, "ja").startswith("パーティクルが1つ")
+
+
 def test_covariances_of_landmarks_are_those_over_all_particles() -> None:
     """Those of the best particle belong to its history, which has errors of its own."""
     for seed in range(4):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from comparisons.show.language import translated
 from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization
 from graphslam import OptionError, SensorModel
 from graphslam.metrics import ate
@@ -94,7 +95,11 @@ def test_a_landmark_with_a_mirror_image_waits():
             filter_.observe([1], [(np.hypot(*(m - pose[:2])), NAN)])
         if name == "straight":
             assert filter_.landmarks == {}
+            (note,) = (note for note in filter_.result().notes if "left out" in note)
+            assert note.startswith("landmark 1 left out: ")
+            assert translated(note, "ja").startswith("ランドマーク1は除きました")
         else:
+            assert not any("left out" in note for note in filter_.result().notes)
             assert np.hypot(*(filter_.landmarks[1] - m)) < 0.05
 
 

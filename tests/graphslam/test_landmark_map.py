@@ -167,6 +167,7 @@ def test_yaml_of_apriltag_bundles_and_of_tagslam_is_read(tmp_path):
         ("m.yaml", "tags:\n- {id: '²', x: 2, y: 3}\n", "m.yaml:2: tag ² has the id '²'; ids are whole numbers"),
         ("m.yaml", "tags: [\n", "m.yaml:2: not YAML"),
         ("m.yaml", "tags: []\n", "there is no landmark in it"),
+        ("m.yaml", "- {id: 1, x: 2, y: 3, datum: [5, 9, 0]}\n- {id: 2, x: 2, y: 3, datum: [6, 9, 0]}\n", "different datums"),
         ("m.json", "{\n,", "m.json:2: not JSON"),
         ("m.json", "[]", "a FeatureCollection"),
         ("m.txt", "", "the file is empty"),

@@ -80,6 +80,19 @@ def test_results_are_those_of_solve_and_a_failure_stays_alone(graph: Graph) -> N
         assert str(failed) == str(caught.value)
 
 
+def test_a_graph_without_the_sightings_of_its_log_is_solved() -> None:
+    graph = Graph.from_log(load(sample_log_path()), edges="virtual+motion", kernel="none")
+    anchor, _, motions = graph.families
+    bare = graph.with_families([anchor, motions])
+    (found,) = solve_many([bare])
+    assert_same(found, solve(bare))
+    assert found.cost < 1e-9
+    assert len(found.landmarks) == len(bare.log.landmark_ids)
+    assert bare.sighting_weights(found.state).shape == (0,)
+    with pytest.raises(OptionError, match="no edges from sightings"):
+        found.map.copy()
+
+
 def test_few_graphs_are_read_ahead_and_an_error_of_the_iterator_comes_in_its_turn(graph: Graph) -> None:
     read = []
 
