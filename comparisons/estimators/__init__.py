@@ -24,9 +24,10 @@ from graphslam.log import UNIDENTIFIED
 from graphslam.log.measurements import MEASURED
 from graphslam.online import replay
 from graphslam.se2 import wrap
+from graphslam.solvers.contradictions import BEYOND_NOISE
 from graphslam.solvers.iteration import Run
 from graphslam.solvers.minimize import AT_MEASURED, shortened_ranges, takes_estimated_ranges
-from graphslam.solvers.solution import BEYOND_NOISE, make_solution
+from graphslam.solvers.solution import make_solution
 
 from ..options import FrontEndOptions, GraphOptions, RunOptions, options_of
 from ..results import EstimatorResult, noted

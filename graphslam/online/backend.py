@@ -16,7 +16,7 @@ from ..graph.trilateration import NumberRow
 from ..linear.precision import inverses
 from ..maps.tracker import Tracker
 from ..se2 import Array
-from ..solvers.solution import misfit_of_noise
+from ..solvers.contradictions import misfit_of_noise
 
 #: the variances [m², m², rad²] of a first pose that only a map or absolute positions hold
 FREE_START = (1e4, 1e4, 1e2)

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..edges import AnchorEdges, LandmarkSightings, SightingEdges
+from ..edges import LandmarkSightings, SightingEdges
 from ..errors import GraphError, OptionError, checks, quoted
 from ..graph import Graph
 from ..graph.transform import with_landmark_nodes
@@ -367,32 +367,6 @@ class Solution:
         raise OptionError(f"there is no pose {quoted(id)}; the ids of the poses are {what}")
 
 
-#: a J of so many times its expected value is said: of pose graphs, of which of seven public ones the largest has 2.1, and of
-#: logs, of which the largest of 60 drives of unknown robots has 1.1 and of the real logs 1.0
-MISFIT, MISFIT_OF_LOGS = 10.0, 2.0
-#: and if chance does not explain it: chi-square is beyond what a Gaussian has at so many standard deviations
-BEYOND_CHANCE = 4.0
-#: what a note on the J of a log says
-BEYOND_NOISE = "times what the noise models predict"
-
-
-def misfit_of_noise(cost: float, expected: float) -> str:
-    """A sentence where J is clearly above its expected value in a log, or while driving; empty otherwise.
-
-    With few measurements chi-square has a long tail: its quantile is that of Wilson and Hilferty, *The distribution of
-    chi-square*, 1931.
-    """
-    expected = max(expected, 1.0)
-    v = 2 / (9 * expected)
-    # J is NaN where it is not known
-    if not cost > max(MISFIT_OF_LOGS, (1 - v + BEYOND_CHANCE * np.sqrt(v)) ** 3) * expected:
-        return ""
-    return (
-        f"J is {cost / expected:,.1f} {BEYOND_NOISE}: they assume less noise than there is, or measurements or ids are "
-        "wrong, so that covariances are too small; compare with the noise that the log itself shows (estimate_robot)"
-    )
-
-
 def make_solution(
     graph: Graph,
     run: Run,
@@ -434,6 +408,8 @@ def make_solution(
     return solution
 
 
+#: a last step that leaves at least this part of J has hardly lowered it
+STILL_FALLS = 0.9
 T = TypeVar("T")
 
 
@@ -445,6 +421,11 @@ def _found(otherwise: T, check: Callable[..., T], *arguments: Any, **options: An
         return otherwise
 
 
+def _falls(costs: Array) -> bool:
+    """Whether J still falls, so that it says little about the measurements."""
+    return len(costs) < 2 or bool(costs[-1] < STILL_FALLS * costs[-2])
+
+
 def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None) -> Solution:
     """A solution with notes on what contradicts it: its map, its positions, its odometry, and edges among each other.
 
@@ -454,8 +435,12 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
     there.
     """
     graph, notes = solution.graph, []
-    if graph is None or not solution.converged:
+    if graph is None or (not solution.converged and _falls(solution.costs)):
         return solution
+    if not solution.converged:
+        return replace(
+            solution, notes=(*solution.notes, *contradictions.doubt_of_cost(solution._solved_graph, solution.cost))
+        )
     # positions of another frame make the map look wrong, and their errors as if they lasted
     if not (of_frame := _found("", doubt_of_frame, graph, solution.state)):
         solution, of_map = contradictions.in_doubted_map(solution, again if graph.reweighted else None)
@@ -467,17 +452,7 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
     common, of_scans = _found((np.zeros((3, 3)), ""), errors_of_scans, graph, solution.state)
     of_relations = _found("", contradictions.doubt_of_relations, graph, solution.state)
     notes += filter(None, (of_positions, of_relations, lasting, *of_odometry, of_scans))
-    # families that do not say how many numbers they measure leave the expected cost open
-    counted = all(f.numbers[0] or isinstance(f, AnchorEdges) or not f.count for f in graph.families)
-    expected = max(graph.expected_cost, 1.0)
-    ratio = solution.cost / expected if counted else 0.0
-    if graph.log is None and ratio > MISFIT:
-        notes.append(
-            f"J is {ratio:,.0f} times what the information of the edges predicts: edges are wrong, which method gnc "
-            "leaves out of Graph.with_closures, or their information is too large, or of other units"
-        )
-    if graph.log is not None and (found := misfit_of_noise(ratio * expected, expected)):
-        notes.append(found)
+    notes += contradictions.doubt_of_cost(graph, solution.cost)
     if not notes:
         return solution
     known, noted = vars(solution), replace(solution, notes=(*solution.notes, *notes), scan_errors=common)

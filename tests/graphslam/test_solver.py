@@ -9,8 +9,8 @@ from graphslam.edges import AnchorEdges
 from graphslam.se2 import wrap
 from graphslam.simulation.worlds import WORLDS
 from graphslam.solvers import iteration as gauss_newton
+from graphslam.solvers.contradictions import misfit_of_noise
 from graphslam.solvers.iteration import Run
-from graphslam.solvers.solution import misfit_of_noise
 
 
 def difference(a, b):
@@ -210,6 +210,19 @@ def test_chance_is_not_noise(expected):
     assert "times what the noise models predict" in misfit_of_noise(
         max(chi2.isf(1e-6, expected), 2.1 * expected), expected
     )
+
+
+def test_a_high_cost_is_said_without_convergence(book_log):
+    """Also where the iterations are used up, unless J still falls."""
+    ids = book_log.landmarks.copy()
+    ids[::3] = ids[::-3]
+    graph = Graph.from_log(book_log.replace(landmarks=ids), kernel="none")
+    for steps, said in ((0, False), (1, False), (30, True)):
+        solution = solve(
+            graph, method="levenberg-marquardt", initialize="dead-reckoning", max_iterations=steps, tolerance=1e-300
+        )
+        assert not solution.converged
+        assert any("times what the noise models predict" in note for note in solution.notes) == said
 
 
 def test_covariance_is_the_diagonal_block_of_the_inverse(book_log):
