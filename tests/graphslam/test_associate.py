@@ -31,6 +31,7 @@ from graphslam.association.ambiguity import readable
 from graphslam.association.assignment import Candidates, evidence, log_density
 from graphslam.association.map_solution import MapSolution, Places, Problem, seen_from
 from graphslam.association.problem import AssociationOptions, Densities
+from graphslam.engine import engine
 from graphslam.linear.cholesky import analyze
 from graphslam.linear.information import BlockSystem
 from graphslam.log import UNIDENTIFIED
@@ -360,3 +361,15 @@ def test_a_wrong_start_brings_in_the_next_one() -> None:
 def test_factors_of_evidence_are_readable() -> None:
     assert [readable(np.log(x)) for x in (1.5, 42.0, 12_345.0)] == ["1.5", "42", "12,345"]
     assert readable(206.17) == "10^90"
+
+
+def test_views_are_counted_in_the_same_field_in_the_engine_and_here():
+    """All views of a landmark, and those in which it was seen: a miss is counted where the two differ."""
+    rng = np.random.default_rng(0)
+    poses, landmarks = rng.uniform(-3, 3, (40, 3)), rng.uniform(-5, 5, (30, 2))
+    origin, limits = np.array([0.2, -0.1]), np.array([[0.5, 4.0, np.cos(1.0)], [0.3, 5.0, np.cos(2.0)]])
+    pairs = np.array(list(product(range(40), range(30))))
+    inside = assignment._inside(poses[pairs[:, 0]], landmarks[pairs[:, 1]], origin, limits)
+    counted = engine.count_views(poses, landmarks, origin, limits)
+    np.testing.assert_array_equal([np.bincount(pairs[:, 1], each) for each in inside], counted)
+    assert 0 < np.sum(counted[0]) < np.sum(counted[1]) < len(pairs)
