@@ -279,10 +279,10 @@ def _of_archive(path: Path, name: str) -> Trajectory:
 
 def _truth(path: Path, options: TableOptions) -> tuple[Trajectory, Mapping[int, Array] | None]:
     """The true trajectory, and the true map of a log."""
-    if path.suffix.lower() in (*TEXT, *PARQUET) or (_bag_of(path)[1] and _bag_of(path)[0] != path):
+    bag, topic = _bag_of(path)
+    archive = path.suffix.lower() == ".npz" and path.is_file() and "poses" in read_archive(path, "a trajectory")
+    if archive or path.suffix.lower() in (*TEXT, *PARQUET) or (topic and bag != path):
         return read_trajectory(path, path.stem, options), None
-    if path.suffix.lower() == ".npz" and path.is_file() and "poses" in read_archive(path, "a trajectory"):
-        return _by_clock(_of_archive(path, path.stem), options), None
     log = load(path)
     if log.true_poses is None or log.times is None:
         raise LogError(f"{path}: the log has no true poses with times")

@@ -101,6 +101,7 @@ class NoiseOptions(Options):
     range_bias: float | None = _correction("range_bias")
     bearing_bias: float | None = _correction("bearing_bias")
     sensor_delay: float | None = _correction("sensor_delay")
+    noise_content: Any = option(None, "What `read_noise` finds in a noise file, instead of the file.", only="python")
     motion: MotionModel | None = option(None, "The motion model.", only="python")
     sensor: SensorModel | None = option(None, "The sensor model.", only="python")
     # a `Calibration`, whose import takes seconds

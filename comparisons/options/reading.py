@@ -109,7 +109,7 @@ def prepare(
     numbers = {n: v for n, v in options.numbers.items() if not (estimated and n in SensorModel.GEOMETRY)}
     motion, sensor = replace(options, numbers=numbers).models(data.motion, data.sensor)
     data = without_biases(data, motion=motion, sensor=sensor, **values)
-    of_file = options.noise not in (None, AUTO, BOOK)
+    of_file = options.noise_content is not None or options.noise not in (None, AUTO, BOOK)
     check_ids = (of_file if options.check_ids is None else options.check_ids) and not estimated
     if (of_file or check_ids) and data.controls is not None:
         # a robot that is known has the noise of its estimate and, where rows are rare, how its speeds change within them
@@ -117,7 +117,8 @@ def prepare(
     if check_ids:
         data = _with_checked_ids(data, motion, sensor)
     known_map = _map_of(options)
-    if of_file and data.controls is not None:
+    # without a file nobody reads the notes: it is the run of a study
+    if of_file and options.noise_content is None and data.controls is not None:
         data = _compared_with_estimate(data, motion, sensor, known_map)
     if options.max_range is not None:
         # what is farther away has been left out, so that the sensor does not see it
@@ -201,10 +202,12 @@ def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], C
 
     A log from which noise was estimated has no biases left.
     """
-    values = dict(CORRECTIONS)
+    values, content = dict(CORRECTIONS), options.noise_content
     if options.noise is not None and options.noise not in (AUTO, BOOK):
-        numbers, of_file = read_noise(options.noise)
-        motion, sensor = NoiseOptions.of(**numbers).models(log.motion, log.sensor)
+        content = read_noise(options.noise)
+    if content is not None:
+        motion, sensor = NoiseOptions.of(**content).models(log.motion, log.sensor)
+        of_file = {name: value for name, value in content.items() if name in CORRECTIONS}
         if log.controls is None:
             # a noise file of other logs of the robot may correct odometry that this one has not
             of_file = of_sensor_alone(of_file)

@@ -118,12 +118,12 @@ _CORRECTIONS = {
 }
 
 
-def read_noise(path: Path) -> tuple[dict[str, Any], dict[str, float]]:
+def read_noise(path: Path) -> dict[str, Any]:
     """Read a noise file.
 
     Returns:
-        The numbers of the noise models by the names of their options, {"nn": 0.19, ...}; and the corrections,
-        {"range_scale": 1.02, "range_bias": 0.03, "wheel_scale": 1.01, ...}, as far as the file has them.
+        The numbers of the noise models and the corrections by the names of their options, {"nn": 0.19, "range_scale": 1.02,
+        ...}, as far as the file has them.
 
     Raises:
         FormatError: it is not TOML, has an unknown key, or an impossible number; with the line.
@@ -134,15 +134,14 @@ def read_noise(path: Path) -> tuple[dict[str, Any], dict[str, float]]:
     if not file.table:
         raise FormatError(path, None, f"no noise in this file: it needs some of the tables [{'], ['.join(tables)}]")
     models = {key: table for key, table in file.table.items() if key in MODELS}
-    numbers = file.options(models, {name: each for name, each in known.items() if each.model})
-    corrections: dict[str, float] = {}
+    found = file.options(models, {name: each for name, each in known.items() if each.model})
     for table, keys in _CORRECTIONS.items():
-        found = file.value(file.table, table, dict) or {}
-        file.check_keys(found, keys, table)
-        for key in found:
-            value = file.value(found, key, float, where=table)
-            corrections[keys[key]] = file.checked(known[keys[key]], value, f"{table}.{key}")
-    return numbers, corrections
+        corrections = file.value(file.table, table, dict) or {}
+        file.check_keys(corrections, keys, table)
+        for key in corrections:
+            value = file.value(corrections, key, float, where=table)
+            found[keys[key]] = file.checked(known[keys[key]], value, f"{table}.{key}")
+    return found
 
 
 def write_noise(result: Calibration, path: Path, log: str) -> None:

@@ -32,14 +32,12 @@ from fastslam.particles import FilterResult
 from graphslam import FormatError, Log, LogError
 from graphslam.errors import printable
 from graphslam.files import check_file
-from graphslam.identification.corrections import honest_variances, without_biases
-from graphslam.identification.declared import CORRECTIONS, of_sensor_alone
 from graphslam.metrics import ate
 
 from ..comparison import compare
 from ..estimators.attempt import too_long
 from ..estimators.config import versions
-from ..options import NoiseOptions, ReadingOptions, RunOptions, options_of
+from ..options import ReadingOptions, RunOptions, options_of
 from ..options.reading import read_log, sha256_of
 from ..results import Count, Figures, sentence
 from .plan import Run, Study, simulated_log
@@ -116,18 +114,7 @@ def log_of(run: Run) -> Log:
 def _execute(run: Run, log: Log) -> dict[str, Any]:
     options = {name: value for name, value in run.options.items() if name not in options_of(ReadingOptions)}
     if isinstance(options.get("noise"), Mapping):
-        # single numbers take precedence over those of the noise file, and those over the log's
-        noise = NoiseOptions.of(**options.pop("noise"))
-        motion, sensor = noise.models(log.motion, log.sensor)
-        corrections = {n: value for n in CORRECTIONS if (value := getattr(noise, n)) is not None}
-        if log.controls is None:
-            corrections = of_sensor_alone(corrections)
-        # as with --noise FILE: what is known of the robot checks the ids
-        options = {"check_ids": True, **corrections, **options, "motion": motion, "sensor": sensor}
-        if log.controls is not None:
-            biases = {name: value for name, value in options.items() if name in CORRECTIONS}
-            corrected = without_biases(log, motion=motion, sensor=sensor, **biases)
-            log = log.replace(control_variances=honest_variances(corrected))
+        options["noise_content"] = options.pop("noise")
     comparison = compare(log, RunOptions.of(**options, seed=run.seed), estimators=[run.estimator])
     result = comparison.results[0]
     # not the rows of the table: they have NEES, too, for which covariances would be computed

@@ -239,8 +239,7 @@ def _methods(file: TomlFile, names: tuple[str, ...]) -> Iterator[tuple[str, str,
                     # text, as the key and the database need it
                     options["noise"] = str(noise)
                 elif noise is not None:
-                    numbers, ranges = read_noise(file.path.parent / noise)
-                    options["noise"] = numbers | ranges
+                    options["noise"] = read_noise(file.path.parent / noise)
                 yield name, method, options
 
 

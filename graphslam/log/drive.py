@@ -15,16 +15,7 @@ import numpy as np
 from ..errors import LogError, named
 from ..errors.checks import FARTHEST, FASTEST, FOUR_TURNS, QUICKEST, WHOLE_TURN, first
 from ..se2 import Array, wrap
-from . import cells
-from .geometry import (
-    chosen_axes,
-    controls_between,
-    counts_turns,
-    polar,
-    seen_from,
-    sideways_poses,
-    sideways_speed,
-)  # fmt: skip
+from . import cells, geometry
 from .rows import (
     AXES,
     MOST_LEFT_OUT,
@@ -370,7 +361,7 @@ def _sideways_speed(reader: Reader, speed: Array) -> tuple[cells.Doubt, ...]:
     lateral = reader.numbers("vy", finite=False)[:, 0]
     # it is no column of the controls
     del reader.used["vy"]
-    return sideways_speed(reader.table, reader.table.title(reader.found["vy"].column), speed, lateral)
+    return geometry.sideways_speed(reader.table, reader.table.title(reader.found["vy"].column), speed, lateral)
 
 
 def _controls(reader: Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.ndarray, tuple[cells.Doubt, ...]]:
@@ -378,12 +369,12 @@ def _controls(reader: Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.n
     # of several rows with one time the last holds
     last = np.append(np.diff(ns) > 0, True)
     poses, ns = poses[last], ns[last]
-    controls, sideways = controls_between(poses, np.diff(ns) / 1e9)
+    controls, sideways = geometry.controls_between(poses, np.diff(ns) / 1e9)
     speed, turn = np.abs(controls[:-1]).T
     heading = "theta" if reader.has("theta") else "x"
     reader.refuse_many(heading, turn, QUICKEST, "the headings turn by {:g} rad/s: are they in degrees?", "angles")
     reader.refuse_many("x", speed, FASTEST, "the poses move by {:g} m/s: are they in mm?")
-    return controls, ns, sideways_poses(reader.table, sideways)
+    return controls, ns, geometry.sideways_poses(reader.table, sideways)
 
 
 def sightings_of(table: Table, options: TableOptions) -> Timed:
@@ -400,7 +391,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     # what is missing, as far as there are columns that may be it
     reader.need("t", *(others if not reader.has("t") and len(reader.unused) > len(others) else ()))
     if cartesian:
-        axes = chosen_axes(reader.table, reader.found, options.axes)
+        axes = geometry.chosen_axes(reader.table, reader.found, options.axes)
         options = reader.options = replace(options, axes=axes)
     plane = ("x", "z") if options.axes == "optical" else ("x", "y")
     measured = plane if cartesian else ("range", "bearing")
@@ -412,7 +403,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     found = _ids(reader)
     single = reader.single_number()
     if cartesian:
-        rows = polar(reader.numbers(*plane) @ AXES[axes][:2, ["xyz".index(axis) for axis in plane]].T)
+        rows = geometry.polar(reader.numbers(*plane) @ AXES[axes][:2, ["xyz".index(axis) for axis in plane]].T)
     elif single:
         rows = np.full((len(table), 2), np.nan)
         rows[:, ("range", "bearing").index(single)] = reader.numbers(single)[:, 0]
@@ -439,7 +430,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
             message = "a range or a bearing alone from the robot's centre says nothing about the sensor at its offset"
             advice = "give it as the sensor measured it, with centre='sensor'"
             raise table.error(int(alone_at[0]), f"{message}: {advice}")
-        rows = seen_from(options.sensor_offset, rows)
+        rows = geometry.seen_from(options.sensor_offset, rows)
     ns, order, more = ordered(reader.table, ns)
     ids, rows = found.numbers[order], rows[order]
     rows[:, 1:] = wrap(rows[:, 1:])
@@ -476,7 +467,7 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
         raise table.error(None, "no row has all numbers of a pose; leave out an empty column, or the ground truth")
     few = f"{table.source}: {np.sum(~known)} of {len(known)} rows have no pose and are left out"
     notes = (few,) * (not known.all())
-    if rows.shape[1] == 3 and not reader.has("qz") and not counts_turns(rows[known]):
+    if rows.shape[1] == 3 and not reader.has("qz") and not geometry.counts_turns(rows[known]):
         reader.refuse("theta", rows[:, 2], FOUR_TURNS, TURNED)
     rows[:, 2:] = wrap(rows[:, 2:])
     kept = np.flatnonzero(known)

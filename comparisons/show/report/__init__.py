@@ -94,8 +94,8 @@ def page_of(comparison: Comparison, language: str = "en") -> str:
         return "\n".join(f"<li>{say(text)}</li>" for text in texts)
 
     view = view_of(comparison)
-    matrix, matrix_note = _unless_failed(_matrix, comparison)
-    variants, convergence_note = _unless_failed(_convergence, comparison)
+    matrix, matrix_note = _unless_failed(lambda: _matrix(comparison))
+    variants, convergence_note = _unless_failed(lambda: (charts.iterations(comparison.log, comparison.options), ""))
     error_heading, errors_note = _error_texts(view)
     figures = {
         "map": charts.paths_figure(view), "errors": charts.errors_figure(view), "costs": charts.costs_figure(comparison),
@@ -272,16 +272,12 @@ def _error_texts(view: View) -> tuple[str, str]:
     return f"from {view.measured_from} [m]", note
 
 
-def _unless_failed(make: Callable[[Comparison], tuple[Any, str]], comparison: Comparison) -> tuple[Any, str]:
+def _unless_failed(make: Callable[[], tuple[Any, str]]) -> tuple[Any, str]:
     """A part of the page and a sentence on it; None and the reason where it cannot be made."""
     try:
-        return make(comparison)
+        return make()
     except Exception as error:
         return None, f"Left out: {sentence(error)}."
-
-
-def _convergence(comparison: Comparison) -> tuple[list[charts.Iterations], str]:
-    return charts.iterations(comparison.log, comparison.options), ""
 
 
 def _matrix(comparison: Comparison) -> tuple[Figure, str]:
