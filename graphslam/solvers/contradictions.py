@@ -1,4 +1,4 @@
-"""Whether a solution contradicts what it takes for right: the map, stated covariances, and the odometry.
+"""Whether a solution contradicts what it takes for right: map, stated covariances, odometry, and the noise models.
 
 The map is checked by score tests, as are the lever and the frame of positions in `position_errors`. Let s be the numbers by
 which they may be wrong, zero where they are right, and J the derivative of the residuals e by s. With W the information of
@@ -21,6 +21,8 @@ covariances say, also where some positions or relations are wrong.
 
 **Odometry.** Stretches on which wheels slip or a gyroscope misreads are found by `identification.slips`, and the graph is
 solved again with more noise of the controls there.
+
+**Noise models.** J is chi-square, with its degrees of freedom as the expected value, if all covariances are right.
 
 Sources: Rao, *Large sample tests of statistical hypotheses concerning several parameters*, 1948; Baarda, *A testing
 procedure for use in geodetic networks*, 1968 (the covariance of residuals).
@@ -438,8 +440,8 @@ def misfit_of_noise(cost: float, expected: float) -> str:
     """
     expected = max(expected, 1.0)
     v = 2 / (9 * expected)
-    # J is NaN where it is not known
-    if not cost > max(MISFIT_OF_LOGS, (1 - v + BEYOND_CHANCE * np.sqrt(v)) ** 3) * expected:
+    # J is NaN where it is not known, and infinite after a run that has diverged, whose reason says so
+    if not max(MISFIT_OF_LOGS, (1 - v + BEYOND_CHANCE * np.sqrt(v)) ** 3) * expected < cost < np.inf:
         return ""
     return (
         f"J is {cost / expected:,.1f} {BEYOND_NOISE}: they assume less noise than there is, or measurements or ids are "
@@ -455,7 +457,7 @@ def doubt_of_cost(graph: Graph, cost: float) -> tuple[str, ...]:
     expected = max(graph.expected_cost, 1.0)
     if graph.log is not None:
         return tuple(filter(None, [misfit_of_noise(cost, expected)]))
-    if not cost > MISFIT_OF_GRAPHS * expected:
+    if not MISFIT_OF_GRAPHS * expected < cost < np.inf:
         return ()
     return (
         f"J is {cost / expected:,.0f} times what the information of the edges predicts: edges are wrong, which method gnc "

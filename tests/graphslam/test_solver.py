@@ -207,6 +207,7 @@ def test_a_callback_may_end_a_solve(book_log):
 def test_chance_is_not_noise(expected):
     """Where little was measured, J is often some times its expected value."""
     assert misfit_of_noise(chi2.isf(1e-4, expected), expected) == ""
+    assert misfit_of_noise(float("inf"), expected) == ""
     assert "times what the noise models predict" in misfit_of_noise(
         max(chi2.isf(1e-6, expected), 2.1 * expected), expected
     )
