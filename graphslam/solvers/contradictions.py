@@ -440,7 +440,7 @@ def misfit_of_noise(cost: float, expected: float) -> str:
     """
     expected = max(expected, 1.0)
     v = 2 / (9 * expected)
-    # J is NaN where it is not known, and infinite after a run that has diverged, whose reason says so
+    # J is NaN where it is not known, and infinite after a run that has diverged (`Solution.reason`)
     if not max(MISFIT_OF_LOGS, (1 - v + BEYOND_CHANCE * np.sqrt(v)) ** 3) * expected < cost < np.inf:
         return ""
     return (

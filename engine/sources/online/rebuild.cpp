@@ -4,7 +4,6 @@
 #include "vmslam/online/edge.hpp"
 #include "vmslam/online/tree.hpp"
 #include "vmslam/sparse/ordering.hpp"
-#include "vmslam/sparse/pattern.hpp"
 
 namespace vmslam::online {
 namespace {
@@ -62,22 +61,16 @@ struct Top {
 /// nodes `newest` last.
 SupernodeTree analyze_top(const Graph& graph, const Tree& tree, const Top& top, std::span<const Id> newest) {
     std::vector<Index> sizes, members;
-    const auto local = [&](Id node) { return static_cast<Index>(graph.nodes[node].local); };
-    for (const Id e : top.edges) {
-        if (graph.edges[e].one_ended()) continue;
-        const auto [low, high] = std::minmax({local(graph.edges[e].ends[0]), local(graph.edges[e].ends[1])});
-        sizes.push_back(2);
-        members.push_back(low);
-        members.push_back(high);
-    }
-    for (const Id s : top.below) {
-        sizes.push_back(tree.groups[s].r);
-        for (const Id node : tree.groups[s].separator()) members.push_back(local(node));
-        std::sort(members.end() - tree.groups[s].r, members.end());
-    }
     const auto n = static_cast<Id>(top.nodes.size());
-    const sparse::OwnedPattern pattern = sparse::pattern_of_groups(n, sizes, members);
-    sparse::Order order = sparse::minimum_degree(pattern, n);
+    const auto local = [&](Id node) { return static_cast<Index>(graph.nodes[node].local); };
+    const auto tie = [&](std::span<const Id> nodes) {
+        sizes.push_back(static_cast<Index>(nodes.size()));
+        for (const Id node : nodes) members.push_back(local(node));
+    };
+    for (const Id e : top.edges)
+        if (!graph.edges[e].one_ended()) tie(graph.edges[e].ends);
+    for (const Id s : top.below) tie(tree.groups[s].separator());
+    sparse::Order order = sparse::minimum_degree(n, sizes, members);
     std::vector<char> last(n, 0);
     for (std::size_t k = 0; k < top.fresh; ++k)
         for (const Id end : graph.edges[top.edges[k]].ends) last[local(end)] = 1;
@@ -86,7 +79,7 @@ SupernodeTree analyze_top(const Graph& graph, const Tree& tree, const Top& top, 
     for (const Id node : newest)
         if (const Id k = graph.nodes[node].local; k >= 0) last[k] = 3;
     std::ranges::stable_sort(order, {}, [&](Id k) { return last[k]; });
-    return sparse::supernodes_of(pattern, order, std::vector<Id>(n, 3), 1);
+    return sparse::supernodes_of(sizes, members, order);
 }
 
 /// What an elimination changes in the graph and below the top, to put it back.

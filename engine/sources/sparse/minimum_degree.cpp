@@ -24,30 +24,9 @@ namespace {
 class QuotientGraph {
    public:
     QuotientGraph(const Neighbours& graph, Node limit, std::span<const Node> stage)
-        : n_(graph.size()),
-          last_(graph.size()),
-          stage_(stage),
-          graph_(graph.list.size() * 3 / 2 + graph.size() + 1),
-          start_(graph.start.begin(), graph.start.end() - 1),
-          free_(static_cast<Index>(graph.list.size())),
-          length_(n_),
-          elements_(n_, 0),
-          weight_(n_, 1),
-          degree_(n_, 0),
-          alive_(n_, 1),
-          mark_(n_, 0),
-          head_(n_ + 1, -1),
-          after_(n_, -1),
-          before_(n_, -1),
-          chain_(n_, -1),
-          tail_(n_),
-          bucket_(std::bit_ceil(static_cast<unsigned>(std::max(n_, Node{1}))), -1),
-          sibling_(n_, -1),
-          code_(n_, 0),
-          order_(n_) {
+        : QuotientGraph(graph.size(), 0, static_cast<Index>(graph.list.size()), stage) {
+        std::copy(graph.start.begin(), graph.start.end() - 1, start_.begin());
         std::copy(graph.list.begin(), graph.list.end(), graph_.begin());
-        std::iota(tail_.begin(), tail_.end(), 0);
-        if (!stage.empty()) now_ = *std::min_element(stage.begin(), stage.end());
         for (Node i = 0; i < n_; ++i) {
             length_[i] = graph.degree(i);
             const bool dense = length_[i] > limit;
@@ -67,6 +46,30 @@ class QuotientGraph {
             degree_[i] = length_[i];
             if (stage_of(i) == now_) link(i, degree_[i]);
         }
+    }
+
+    /// With groups of nodes that are tied together as the first elements, behind the variables.
+    QuotientGraph(Node nodes, std::span<const Index> sizes, std::span<const Index> members)
+        : QuotientGraph(nodes, static_cast<Node>(sizes.size()), static_cast<Index>(2 * members.size()), {}) {
+        Index place = 0;
+        for (const Index i : members) ++elements_[i];
+        for (Node i = 0; i < n_; place += elements_[i++]) start_[i] = place;
+        const Index* member = members.data();
+        for (Node e = n_; e < n_ + static_cast<Node>(sizes.size()); ++e) {
+            start_[e] = place;
+            length_[e] = degree_[e] = static_cast<Node>(sizes[e - n_]);
+            for (; place < start_[e] + length_[e]; ++place, ++member) {
+                graph_[place] = static_cast<Node>(*member);
+                graph_[start_[*member] + length_[*member]++] = e;
+            }
+        }
+        for (Node i = 0; i < n_; ++i) {
+            for (Index p = start_[i]; p < start_[i] + length_[i]; ++p)
+                for (const Node j : std::span(graph_).subspan(start_[graph_[p]], length_[graph_[p]]))
+                    if (mark_[j] != stamp_ + i) mark_[j] = stamp_ + i, ++degree_[i];
+            link(i, degree_[i] = std::max(degree_[i] - 1, 0));
+        }
+        stamp_ += n_;
     }
 
     /// Eliminate variables of the lowest degree, those of the present stage, until none is left; returns the order.
@@ -89,6 +92,32 @@ class QuotientGraph {
     }
 
    private:
+    QuotientGraph(Node nodes, Node elements, Index entries, std::span<const Node> stage)
+        : n_(nodes),
+          last_(nodes),
+          stage_(stage),
+          graph_(entries * 3 / 2 + nodes + 1),
+          start_(nodes + elements),
+          free_(entries),
+          length_(nodes + elements),
+          elements_(nodes, 0),
+          weight_(nodes, 1),
+          degree_(nodes + elements, 0),
+          alive_(nodes + elements, 1),
+          mark_(nodes + elements, 0),
+          head_(nodes + 1, -1),
+          after_(nodes, -1),
+          before_(nodes, -1),
+          chain_(nodes, -1),
+          tail_(nodes),
+          bucket_(std::bit_ceil(static_cast<unsigned>(std::max(nodes, Node{1}))), -1),
+          sibling_(nodes, -1),
+          code_(nodes, 0),
+          order_(nodes) {
+        std::iota(tail_.begin(), tail_.end(), 0);
+        if (!stage.empty()) now_ = *std::min_element(stage.begin(), stage.end());
+    }
+
     Node stage_of(Node i) const { return stage_.empty() ? 0 : stage_[i]; }
 
     /// Put a variable into the list of those with degree d, and take it out again.
@@ -122,12 +151,13 @@ class QuotientGraph {
 
     /// Copy the lists that are in use to the front of new memory, so that `needed` places are free.
     void make_room(Index needed) {
+        const auto lists = static_cast<Node>(start_.size());
         Index total = 0;
-        for (Node i = 0; i < n_; ++i)
+        for (Node i = 0; i < lists; ++i)
             if (alive_[i]) total += length_[i];
         std::vector<Node> fresh(total + total / 2 + needed);
         free_ = 0;
-        for (Node i = 0; i < n_; ++i) {
+        for (Node i = 0; i < lists; ++i) {
             if (!alive_[i]) continue;
             std::copy_n(graph_.begin() + start_[i], length_[i], fresh.begin() + free_);
             start_[i] = free_;
@@ -330,6 +360,10 @@ Order minimum_degree(const Neighbours& graph, Node limit, std::span<const Node> 
 Order minimum_degree(const Pattern& pattern, Node limit) {
     const Reduced reduced = without_low_degrees(pattern);
     return joined(reduced, minimum_degree(reduced.rest, limit, {}));
+}
+
+Order minimum_degree(Node nodes, std::span<const Index> sizes, std::span<const Index> members) {
+    return QuotientGraph(nodes, sizes, members).eliminate();
 }
 
 Order nested_dissection(const Pattern& pattern, Node limit) {

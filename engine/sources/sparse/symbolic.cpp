@@ -181,8 +181,12 @@ Node SupernodeTree::owner(Node column) const {
     return static_cast<Node>(std::upper_bound(first.begin(), first.end(), column) - first.begin()) - 1;
 }
 
-SupernodeTree supernodes_of(const Pattern& pattern, std::span<const Node> order, std::vector<Node> sizes, int planes) {
-    const EliminationTree tree(permuted(pattern, inverse(order)), std::move(sizes));
+namespace {
+
+/// The supernodes of nodes whose neighbours before each `lists` gives, by the positions of the nodes in an order.
+template <class Lists>
+SupernodeTree supernodes_by(const Lists& lists, std::span<const Node> order, std::vector<Node> sizes, int planes) {
+    const EliminationTree tree(lists(inverse(order)), std::move(sizes));
     const Supernodes groups = amalgamate(tree, planes);
     SupernodeTree s;
     s.blocks = tree.blocks();
@@ -193,8 +197,37 @@ SupernodeTree supernodes_of(const Pattern& pattern, std::span<const Node> order,
     }
     s.position = inverse(s.order);
     s.first = groups.first;
-    find_rows(s, groups.below, permuted(pattern, s.position));
+    find_rows(s, groups.below, lists(s.position));
     return s;
+}
+
+/// The first node of each group before the others: eliminating it ties these together.
+RowLists stars(std::span<const Index> sizes, std::span<const Index> members, std::span<const Node> position) {
+    std::vector<Node> first(members.size());
+    RowLists lists{std::vector<Index>(position.size() + 1, 0), {}};
+    Index begin = 0;
+    for (const Index size : sizes) {
+        Node lowest = static_cast<Node>(position.size());
+        for (Index k = begin; k < begin + size; ++k) lowest = std::min(lowest, position[members[k]]);
+        for (Index k = begin; k < begin + size; ++k) {
+            first[k] = lowest;
+            lists.start[position[members[k]] + 1] += position[members[k]] != lowest;
+        }
+        begin += size;
+    }
+    std::partial_sum(lists.start.begin(), lists.start.end(), lists.start.begin());
+    lists.columns.resize(lists.start.back());
+    std::vector<Index> fill(lists.start.begin(), lists.start.end() - 1);
+    for (Index k = 0; k < begin; ++k)
+        if (const Node row = position[members[k]]; row != first[k]) lists.columns[fill[row]++] = first[k];
+    return lists;
+}
+
+}  // namespace
+
+SupernodeTree supernodes_of(std::span<const Index> sizes, std::span<const Index> members, std::span<const Node> order) {
+    return supernodes_by([&](const Order& position) { return stars(sizes, members, position); }, order,
+                         std::vector<Node>(order.size(), 3), 1);
 }
 
 Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape shape, int threads,
@@ -203,7 +236,8 @@ Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape
     std::vector<Node> sizes;
     for (const Node node : order) sizes.push_back(is_point(node) ? shape.point_rows : shape.rows);
     Symbolic s;
-    static_cast<SupernodeTree&>(s) = supernodes_of(pattern, order, std::move(sizes), shape.planes());
+    static_cast<SupernodeTree&>(s) = supernodes_by([&](const Order& position) { return permuted(pattern, position); }, order,
+                                                   std::move(sizes), shape.planes());
     s.shape = shape;
     for (const Node node : s.order) s.point.push_back(is_point(node));
     s.points = std::ranges::count(s.point, 1) > 0;

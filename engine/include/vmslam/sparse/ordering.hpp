@@ -11,6 +11,9 @@ namespace vmslam::sparse {
 /// Approximate minimum degree (Amestoy, Davis and Duff 1996); nodes with more than `limit` neighbours go last.
 Order minimum_degree(const Pattern& pattern, Node limit);
 
+/// Minimum degree of a graph in which groups of given sizes are tied together; their members follow each other.
+Order minimum_degree(Node nodes, std::span<const Index> sizes, std::span<const Index> members);
+
 /// Nested dissection, each part ordered by minimum degree; nodes with more than `limit` neighbours go last.
 Order nested_dissection(const Pattern& pattern, Node limit);
 

@@ -167,8 +167,9 @@ Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape
 /// The same for the order that `fill_reducing` finds.
 Symbolic analyze(const Pattern& pattern, BlockShape shape, int threads, std::span<const char> points = {});
 
-/// The supernodes alone, without `relative`, `run_end` and `split`. `sizes` are the numbers of the node of each column.
-SupernodeTree supernodes_of(const Pattern& pattern, std::span<const Node> order, std::vector<Node> sizes, int planes);
+/// The supernodes alone, without `relative`, `run_end` and `split`, of real blocks of three, where groups of given sizes are
+/// tied together, whose members follow each other.
+SupernodeTree supernodes_of(std::span<const Index> sizes, std::span<const Index> members, std::span<const Node> order);
 
 /// The same structure for blocks of another shape.
 Symbolic reshaped(Symbolic symbolic, BlockShape shape);
